@@ -1,0 +1,310 @@
+"""The contact pairs of a run: paired across ranks, evaluated at a state, remembered from step to step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app import reductions
+from forms.contact.gap import Projection, project
+from forms.contact.integrals import SlavePoints, contact_vectors
+from forms.contact.laws import History, InterfaceLaw, Response
+from meshes.pairing import VisibleFacets, closest_facets, near_points, point_normals, share_facets
+from meshes.surface import Surface
+
+Array = NDArray[np.float64]
+
+# A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
+# the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
+KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
+
+
+@dataclass
+class ContactPass:
+    """One pass of a pair: points of the slave surface, each against the master surface.
+
+    `share` is the pass's share of the contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the
+    points near the master, `facet` and `xi` their partners in `visible` and where; the last evaluation is kept.
+    """
+
+    pair: int
+    slave: Surface
+    master: Surface
+    points: SlavePoints
+    law: InterfaceLaw
+    share: float
+    first: bool
+    size: Array
+    history: History = field(init=False)
+    visible: VisibleFacets = field(init=False)
+    rows: NDArray[np.int64] = field(init=False)
+    facet: NDArray[np.int64] = field(init=False)
+    xi: Array = field(init=False)
+    slave_nodes: NDArray[np.int64] = field(init=False)
+    master_nodes: NDArray[np.int64] = field(init=False)
+    met: NDArray[np.int64] = field(init=False)
+    projection: Projection | None = field(init=False, default=None)
+    response: Response | None = field(init=False, default=None)
+    jump: Array | None = field(init=False, default=None)
+    force: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.history = History.virgin(len(self.points.weight))
+
+    def keys(self) -> NDArray[np.int64]:
+        """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
+        p = self.points
+        same = np.ones(len(p.facet), np.int64)
+        return np.stack([self.pair * same, int(self.first) * same, self.slave.key[p.facet], p.place], axis=1)
+
+
+@dataclass
+class ContactTerms:
+    """One evaluation: for each pair of facets in contact its nodes (numbers in `Contact.nodes`) and its terms."""
+
+    nodes: NDArray[np.int64]
+    vectors: Array
+    matrices: Array | None
+
+
+class Contact:
+    """All contact passes of a run on this rank. Every method is collective."""
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        space: Any,
+        coordinates: PETSc.Vec,
+        passes: Sequence[ContactPass],
+        potential_scale: float | None,
+    ) -> None:
+        self.comm = comm
+        self.passes = list(passes)
+        self.space = space
+        self.dim = space.mesh.geometry.dim
+        self.components = space.dofmap.index_map_bs
+        self.potential_scale = potential_scale
+        self.margin = 0.0
+        self.outgrown = False
+        self._coordinates = coordinates
+        self._keep = KEEP[0][1]
+        sizes = [np.log(p.size) for p in self.passes]
+        total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
+        self.last_penetration = 0.0  # at the end of the last converged step, um
+        self._facet = float(np.exp(total[0] / total[1]))
+        self.reach = comm.allreduce(max(p.law.reach for p in self.passes), op=MPI.MAX)
+
+    def pair(self, state: PETSc.Vec, local_state: Array, local_coordinates: Array, margin: float) -> None:
+        """Find anew, at this state, which facets each rank must see and which points are near.
+
+        local_state (nodes, components) and local_coordinates (nodes, d) are values at this rank's nodes, ghosts
+        included. `margin` (um): how near a point must be to be looked at; the pairing holds as long as no surface
+        has moved by more than half of it.
+        """
+        self.margin = margin
+        index_map = self.space.dofmap.index_map
+        position = local_coordinates + local_state[:, : self.dim]
+        needed = []
+        for p in self.passes:
+            slave, master = position[p.slave.nodes], position[p.master.nodes]
+            own = VisibleFacets(_global(index_map, p.master.nodes), p.master.orientation, p.master.key)
+            p.visible = share_facets(self.comm, slave, own, master, margin)
+            needed += [_global(index_map, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
+        self.nodes = np.unique(np.concatenate(needed)) if needed else np.zeros(0, np.int64)
+        self._scatter(state)
+        values = self._gather(state)
+        self._paired_at = values[:, : self.dim].copy()
+        position = self._reference + values[:, : self.dim]
+        for p in self.passes:
+            p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
+            p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
+            points = np.einsum("mk,mkd->md", p.points.shape, position[p.slave_nodes[p.points.facet]])
+            p.rows = np.flatnonzero(near_points(points, position[p.master_nodes], margin))
+            p.facet = np.full(len(p.rows), -1)
+            p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
+        self.outgrown = False
+        self._keep = KEEP[0][1]
+
+    def settle(self, iteration: int) -> None:
+        """Let points keep their facets the longer, the more Newton iterations a solve has taken."""
+        self._keep = max(share for start, share in KEEP if iteration >= start)
+
+    def evaluate(self, state: PETSc.Vec, *, tangent: bool) -> ContactTerms:
+        """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer."""
+        values = self._gather(state)
+        position = self._reference + values[:, : self.dim]
+        moved = np.abs(values[:, : self.dim] - self._paired_at).max(initial=0.0)
+        self.outgrown = self.comm.allreduce(float(moved), op=MPI.MAX) > 0.5 * self.margin
+        potentials = values[:, self.dim] if self.potential_scale is not None else None
+        terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
+        size = 2 * len(self.passes[0].slave.kind.nodes)
+        nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
+        vectors = np.concatenate([t.vectors for t in terms])
+        return ContactTerms(nodes, vectors, np.concatenate([t.matrices for t in terms]) if tangent else None)
+
+    def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
+        """Add the terms' vectors to a distributed residual."""
+        self._add(terms.nodes, terms.vectors, residual)
+
+    def add_product(self, terms: ContactTerms, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Add the terms' matrices times a change of state to a distributed vector."""
+        local = self._gather(change)[terms.nodes]
+        product = np.einsum("mij,mj->mi", terms.matrices, local.reshape(terms.matrices.shape[:2]))
+        self._add(terms.nodes, product.reshape(local.shape), result)
+
+    def global_nodes(self, terms: ContactTerms) -> NDArray[np.int64]:
+        """Global node numbers of each facet pair of the terms."""
+        return self.nodes[terms.nodes]
+
+    def reserve(self) -> NDArray[np.int64]:
+        """Global nodes of the facet pairs that are in contact or near it at the last evaluation."""
+        sets = []
+        for p in self.passes:
+            near = p.projection.gap < p.law.reach + 0.5 * p.size[p.rows[p.met]]
+            facets, partners = p.points.facet[p.rows[p.met[near]]], p.facet[p.met[near]]
+            pairs = np.unique(np.stack([facets, partners], axis=1), axis=0)
+            sets.append(np.concatenate([p.slave_nodes[pairs[:, 0]], p.master_nodes[pairs[:, 1]]], axis=1))
+        return self.nodes[np.concatenate(sets)]
+
+    def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
+        local = np.zeros((len(self.nodes), self.components))
+        np.add.at(local, nodes, vectors)
+        self._local.array[:] = local.ravel()
+        self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+
+    def commit(self) -> None:
+        """Let the history take in the last evaluation, the end of a converged step."""
+        self.last_penetration = self.penetration()
+        for p in self.passes:
+            near = p.rows[p.met]
+            advanced = p.history[near].advanced(p.projection.gap)
+            p.history.touched[near] = advanced.touched
+            p.history.opening[near] = advanced.opening
+
+    def least_margin(self) -> float:
+        """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration."""
+        return 2.0 * self._facet + self.reach + 4.0 * self.last_penetration
+
+    def penetration(self) -> float:
+        """Deepest penetration of the last evaluation, um."""
+        gaps = [p.projection.gap for p in self.passes if p.projection is not None]
+        deepest = max((float(-gap.min(initial=0.0)) for gap in gaps), default=0.0)
+        return self.comm.allreduce(deepest, op=MPI.MAX)
+
+    def energies(self) -> dict[str, float]:
+        """Energies of the last evaluation (pJ; 2D: per um of depth): contact, adhesion, electric, dissipated.
+
+        Points that are not near the other surface count too: they hold the adhesion of bonds that are not formed
+        and what broken ones have dissipated.
+        """
+        sums = np.zeros(4)
+        for p in self.passes:
+            far = np.ones(len(p.points.weight), bool)
+            far[p.rows[p.met]] = False
+            apart = np.full(int(far.sum()), 1e30)
+            responses = [(p.response, p.rows[p.met])]
+            if p.law.adhesion is not None:
+                responses.append((p.law[far].respond(apart, None, p.history[far]), np.flatnonzero(far)))
+            for r, rows in responses:
+                weight = p.share * p.points.weight[rows]
+                sums += [float(weight @ e) for e in (r.contact, r.adhesion, r.electric, r.dissipated)]
+        total = reductions.total(self.comm, sums)
+        return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
+
+    def _evaluate(self, p: ContactPass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
+        kind = p.slave.kind
+        slave = p.slave_nodes[p.points.facet[p.rows]]
+        points = np.einsum("mk,mkd->md", p.points.shape[p.rows], position[slave])
+        self._partners(p, points, position)
+        p.met = np.flatnonzero(p.facet >= 0)
+        facet, rows = p.facet[p.met], p.rows[p.met]
+        master = p.master_nodes[facet]
+        p.projection = project(kind, points[p.met], position[master], p.visible.orientation[facet], p.xi[p.met])
+        p.xi[p.met] = p.projection.xi
+        slave, shape = slave[p.met], p.points.shape[rows]
+        p.jump = None
+        law, scale = p.law[rows], self.potential_scale
+        if potentials is not None and law.electric_penalty is not None:
+            p.jump = np.einsum("mk,mk->m", shape, potentials[slave])
+            p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), potentials[master]))
+        p.response = law.respond(p.projection.gap, p.jump, p.history[rows])
+        r = p.response
+        active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
+        scaled = r
+        if p.jump is not None:
+            scaled = Response(**{**r.__dict__, "charge": scale * r.charge, "mixed": scale * r.mixed})
+            scaled.electric_curvature = scale**2 * r.electric_curvature
+        scaled = Response(**{name: value[active] for name, value in scaled.__dict__.items()})
+        vectors, matrices = contact_vectors(
+            kind,
+            p.projection[active],
+            shape[active],
+            p.share * p.points.weight[rows][active],
+            scaled,
+            self.components,
+            potentials[master[active]] if p.jump is not None else None,
+            tangent=tangent,
+        )
+        nodes = np.concatenate([slave[active], master[active]], axis=1)
+        p.force = -vectors[:, : slave.shape[1], : self.dim].sum(axis=(0, 1))
+        pair_of_facets = p.points.facet[rows][active] * max(len(p.visible), 1) + facet[active]
+        return _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
+
+    def _partners(self, p: ContactPass, points: Array, position: Array) -> None:
+        """Keep each point's master facet as long as it projects onto it, and search for the others."""
+        kind = p.slave.kind
+        lost = p.facet < 0
+        have = np.flatnonzero(~lost)
+        if len(have):
+            facet = p.facet[have]
+            nodes = position[p.master_nodes[facet]]
+            xi = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have]).xi
+            p.xi[have] = xi
+            lost[have[kind.overshoot(xi) > self._keep]] = True
+        if not lost.any():
+            return
+        rows = p.rows[lost]
+        facet = p.points.facet[rows]
+        normals = point_normals(kind, p.points.xi[rows], position[p.slave_nodes[facet]], p.slave.orientation[facet])
+        p.facet[lost], p.xi[lost] = closest_facets(
+            kind,
+            points[lost],
+            normals,
+            position[p.master_nodes],
+            p.visible.orientation,
+            p.visible.key,
+            2.0 * self.margin,
+        )
+
+    def _scatter(self, state: PETSc.Vec) -> None:
+        bs = self.components
+        wanted = PETSc.IS().createBlock(bs, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+        self._local = PETSc.Vec().createSeq(len(self.nodes) * bs, comm=MPI.COMM_SELF)
+        self._exchange = PETSc.Scatter().create(state, wanted, self._local, None)
+        self._reference = self._gather(self._coordinates)[:, : self.dim]
+
+    def _gather(self, vector: PETSc.Vec) -> Array:
+        self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+        return self._local.array.reshape(-1, self.components).copy()
+
+
+def _global(index_map: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
+    return np.asarray(index_map.local_to_global(nodes.ravel()), np.int64).reshape(nodes.shape)
+
+
+def _sum_by_pair(
+    pair: NDArray[np.int64], nodes: NDArray[np.int64], vectors: Array, matrices: Array | None
+) -> ContactTerms:
+    """Sum the points of each facet pair: the matrix is scattered once a pair, not once a point."""
+    if not len(pair):
+        return ContactTerms(nodes, vectors, matrices)
+    order = np.argsort(pair, kind="stable")
+    _, first = np.unique(pair[order], return_index=True)
+    summed = None if matrices is None else np.add.reduceat(matrices[order], first)
+    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed)

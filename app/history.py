@@ -1,0 +1,137 @@
+"""The history of a run: its columns, and one row of numbers from a converged state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from app import reductions
+from app.contact import Contact
+from app.model import Condition, Model
+from app.problem import Problem
+from app.stepping import Step, StepReport
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z")
+ENERGIES = ("elastic", "electric", "contact", "adhesion", "stabilization", "external_work", "dissipated")
+EFFORT = ("newton", "krylov", "cutbacks", "seconds")
+
+
+def columns(model: Model, pairs: list[str]) -> list[str]:
+    """Names of the history's columns, in order."""
+    names = ["step", "stage", *(f"factor:{name}" for name in model.scene.load.factors)]
+    axes = AXES[: model.dim]
+    for condition in model.conditions:
+        on = condition.boundary.on
+        names += [f"force_{axis}@{on}" for axis in axes]
+        if model.electric:
+            names += [f"charge@{on}", f"mean_potential@{on}"]
+    for pair in pairs:
+        names += [f"contact_force_{axis}@{pair}" for axis in axes]
+        names += [f"{name}@{pair}" for name in ("contact_area", "max_pressure", "max_penetration")]
+        if model.electric:
+            names += [f"max_potential_jump@{pair}"]
+        names += [f"bonded_area@{pair}"]
+    return [*names, *ENERGIES, *EFFORT]
+
+
+class Balance:
+    """Work done on the model and by its stabilization, summed over the parts of all steps so far. Collective.
+
+    The external work of a part is the mean of the nodal forces at its ends times the change of displacement plus the
+    mean of the potentials times the change of charge.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.external_work = 0.0
+        self.stabilization = 0.0
+        self.forces = problem.state.duplicate()
+        self.forces.set(0.0)
+
+    def take(self) -> None:
+        """Add the part of a step that has just converged."""
+        problem = self.problem
+        block, d = problem.model.block, problem.model.dim
+        new, old = (v.array_r.reshape(-1, block) for v in (problem.full, self.forces))
+        # Loads are part of `full`, which is therefore zero where nothing is fixed: the work of both is counted.
+        new = new - problem.load_forces().reshape(-1, block)
+        x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.start))
+        work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
+        if problem.model.electric:
+            work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
+        self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
+        self.stabilization += problem.grounding_work()
+        self.forces.array[:] = new.ravel()
+
+
+def row(
+    problem: Problem, balance: Balance, pairs: list[str], step: Step, report: StepReport, seconds: float
+) -> dict[str, Any]:
+    """One row of the history from the converged state. Collective; the same on all ranks."""
+    model = problem.model
+    problem.refresh()
+    values: dict[str, Any] = {"step": step.number, "stage": step.stage}
+    values |= {f"factor:{name}": value for name, value in step.after.items()}
+    axes = AXES[: model.dim]
+    for condition in model.conditions:
+        on = condition.boundary.on
+        force, charge = reaction(problem, condition, step.after)
+        values |= {f"force_{axis}@{on}": float(f) for axis, f in zip(axes, force, strict=True)}
+        if model.electric:
+            values |= {f"charge@{on}": charge, f"mean_potential@{on}": model.mean_potential(condition)}
+    energies = problem.energies()
+    contact = {"contact": 0.0, "adhesion": 0.0, "electric": 0.0, "dissipated": 0.0}
+    if problem.contact is not None:
+        for number, pair in enumerate(pairs):
+            values |= pair_values(problem.contact, number, pair, model.electric)
+        contact = problem.contact.energies()
+    energies["electric"] += contact.pop("electric")
+    values |= energies | contact
+    values |= {"stabilization": balance.stabilization, "external_work": balance.external_work}
+    values |= {"newton": report.newton, "krylov": report.krylov, "cutbacks": report.cutbacks, "seconds": seconds}
+    return values
+
+
+def reaction(problem: Problem, condition: Condition, factors: dict[str, float]) -> tuple[Array, float]:
+    """Force (d,) that the surroundings exert on the model at a boundary, uN, and the free charge on it, pC."""
+    model = problem.model
+    total = np.zeros(model.dim + 1)
+    for component, unknowns in condition.fixed.items():
+        total[component] = problem.full.array_r[unknowns].sum()
+    total = reductions.total(model.comm, total)
+    charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
+    applied = model.applied(condition, factors)
+    return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
+
+
+def pair_values(contact: Contact, number: int, name: str, electric: bool) -> dict[str, float]:
+    """Force on the first of a pair, area, largest pressure, penetration and potential jump, bonded area."""
+    d = contact.dim
+    sums, largest = np.zeros(d + 2), np.zeros(3)
+    for p in contact.passes:
+        if p.pair != number:
+            continue
+        r, gap = p.response, p.projection.gap
+        rows = p.rows[p.met]
+        weight = p.share * p.points.weight[rows]
+        sums[:d] += p.force if p.first else -p.force
+        sums[d] += weight @ (gap <= 0.0)
+        # History is that of the converged step, so bonds that broke in it no longer count.
+        sums[d + 1] += p.share * p.points.weight @ p.law.bonded(p.history)
+        largest[0] = max(largest[0], -r.slope.min(initial=0.0))
+        largest[1] = max(largest[1], -gap.min(initial=0.0))
+        if p.jump is not None:
+            together = (gap <= 0.0) | (p.law[rows].status(gap, p.history[rows]) == 2)
+            largest[2] = max(largest[2], np.abs(p.jump[together]).max(initial=0.0))
+    sums, largest = reductions.total(contact.comm, sums), reductions.largest(contact.comm, largest)
+    values = {f"contact_force_{axis}@{name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}
+    values |= {f"contact_area@{name}": float(sums[d]), f"bonded_area@{name}": float(sums[d + 1])}
+    values |= {f"max_pressure@{name}": float(largest[0]), f"max_penetration@{name}": float(largest[1])}
+    if electric:
+        values |= {f"max_potential_jump@{name}": float(largest[2])}
+    return values

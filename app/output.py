@@ -1,0 +1,77 @@
+"""From a converged state to what is written of it: fields in the cells, contact points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app import fenicsx
+from app.contact import Contact
+from app.model import Model
+from app.pieces import ContactPoints, FieldPiece, grid
+from forms.piezo import strain_and_field
+
+Array = NDArray[np.float64]
+
+
+class FieldOutput:
+    """Turns states of a model into field pieces; cell values are those at the cells' centres."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._grid = grid(model.mesh)
+        nodes, geometry = fenicsx.dofmap(model.space), fenicsx.geometry_dofmap(model.mesh)
+        self._node = np.zeros(len(self._grid.points), np.int64)
+        self._node[geometry] = nodes
+        state = strain_and_field(model.state, model.scene.model.kinematics)
+        self._state = fenicsx.center_expression(state, model.mesh)
+
+    def piece(self) -> FieldPiece:
+        """This rank's fields at the model's present state. Collective."""
+        model = self.model
+        values = model.state.x.array.reshape(-1, model.block)[self._node]
+        cells = len(self._grid.cells)
+        state = fenicsx.at_centers(self._state, model.mesh)
+        strains = model.dim * (model.dim + 1) // 2
+        stress, field, density = np.zeros((cells, 6)), np.zeros((cells, 3)), np.zeros((cells, 3))
+        potential = None
+        if model.electric:
+            potential = model.potential_scale * values[:, model.dim]
+            field[:, : model.dim] = model.potential_scale * state[:, strains:]
+        for number, material in enumerate(model.materials):
+            rows = model.bodies.cell_body == number
+            response = material.response(
+                state[rows, :strains], field[rows, : model.dim], model.dim, model.scene.model.plane
+            )
+            stress[rows], density[rows] = response.stress, response.electric_displacement
+        electric = {"potential": potential, "electric_field": field, "electric_displacement": density}
+        return FieldPiece(
+            self._grid,
+            _in_space(values[:, : model.dim]),
+            stress,
+            model.bodies.cell_body,
+            **(electric if model.electric else {}),
+        )
+
+
+def contact_points(contact: Contact, electric: bool) -> ContactPoints:
+    """This rank's contact points near another surface, at the last evaluation."""
+    columns: list[list[Array]] = [[] for _ in range(7)]
+    for p in contact.passes:
+        rows = p.rows[p.met]
+        gap = p.projection.gap
+        master = np.einsum("mk,mkd->md", p.master.kind.shape(p.projection.xi), p.projection.nodes)
+        position = master + gap[:, None] * p.projection.normal
+        jump = p.jump if p.jump is not None else np.zeros(len(gap))
+        status = p.law[rows].status(gap, p.history[rows])
+        parts = [position, p.projection.normal, gap, -p.response.slope, status, np.full(len(gap), p.pair), jump]
+        for column, part in zip(columns, parts, strict=True):
+            column.append(part)
+    position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)
+    return ContactPoints(
+        _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if electric else None
+    )
+
+
+def _in_space(vectors: Array) -> Array:
+    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))

@@ -1,0 +1,255 @@
+"""The nonlinear problem of one load level: residual and tangent of bulk, loads, contact and stabilization."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dolfinx
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app import fenicsx, reductions
+from app.contact import Contact, ContactTerms
+from app.matrix import TangentMatrix
+from app.model import Model
+from app.timing import Timer
+from forms.energy import grounding_form, stored_energies
+from forms.piezo import internal_form, load_tangent, tangent_form
+
+Array = NDArray[np.float64]
+
+# Springs that hold a floating part where it was at the last converged step: stiffness over its size squared.
+GROUNDING = 1e-6
+
+
+class Problem:
+    """Residual and tangent of a model at given load factors, for Newton's method. Every method is collective.
+
+    The state x solves R(x) = R_bulk(x) + R_loads + R_contact(x) + G (x - x_n) = 0 where it is not fixed; G grounds
+    the parts that nothing but contact holds, and x_n is the last converged state.
+    """
+
+    def __init__(self, model: Model, contact: Contact | None, timer: Timer) -> None:
+        self.model = model
+        self.contact = contact
+        self.timer = timer
+        self.comm: MPI.Comm = model.comm
+        self.state: PETSc.Vec = fenicsx.petsc_vector(model.state)
+        self.finite = model.scene.model.kinematics == "finite"
+        self._trial, self._test = ufl.TrialFunction(model.space), ufl.TestFunction(model.space)
+        self._coordinates = model.coordinate_vector()
+        with timer("assembly"):
+            self._compile()
+            self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
+            self._assemble_bulk()
+            self._ground()
+            self.tangent_matrix = TangentMatrix(self.comm, self._base(), model.block, model.fixed_global)
+        self.full = self.state.duplicate()  # residual with the reactions of what is fixed
+        self._loads = self.state.duplicate()
+        self.start = self.state.duplicate()  # the last converged state
+        self._terms: ContactTerms | None = None
+        self.linear = contact is None and not self.finite
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric: all but follower pressure is derived from one enthalpy."""
+        return self._load_tangent is None
+
+    def set_loads(self, factors: dict[str, float]) -> None:
+        """Go to a load level: the loads and the values of the fixed unknowns (taken up by `predict`)."""
+        self.model.set_loads(factors)
+        self.targets = self.model.fixed_values(factors)
+        self._assemble_loads()
+
+    def begin_step(self, margin: float) -> None:
+        """Start a step from the converged state: pair the surfaces anew and remember where the step starts."""
+        self.state.copy(self.start)
+        self.pair(margin)
+
+    def pair(self, margin: float) -> None:
+        """Pair the contact surfaces at the present state, looking `margin` (um) around every point."""
+        if self.contact is None:
+            return
+        with self.timer("contact"):
+            self._update_ghosts(self.state)
+            values = self.model.state.x.array.reshape(-1, self.model.block)
+            self.contact.pair(self.state, values, self.model.coordinates, margin)
+        self.tangent_matrix.forget_pattern()
+
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there."""
+        with self.timer("assembly"):
+            self._bulk_residual(x)
+        if self.contact is not None:
+            with self.timer("contact"):
+                self._terms = self.contact.evaluate(x, tangent=True)
+                self.contact.add_residual(self._terms, self.full)
+        self.full.copy(result)
+        result.array[self.model.fixed] = 0.0
+
+    def tangent(self, x: PETSc.Vec) -> tuple[PETSc.Mat, bool]:
+        """The tangent at x, the fixed unknowns eliminated, and whether its pattern differs from the last.
+
+        x is the state of the last `residual`: contact is evaluated once for both.
+        """
+        self._update_bulk(x)
+        none = np.zeros((0, 2), np.int64)
+        nodes, matrices, reserve = none, np.zeros((0, 2 * self.model.block, 2 * self.model.block)), none
+        if self.contact is not None:
+            with self.timer("contact"):
+                nodes, matrices = self.contact.global_nodes(self._terms), self._terms.matrices
+                reserve = self.contact.reserve()
+        with self.timer("assembly"):
+            matrix, fresh = self.tangent_matrix.assemble(nodes, matrices, reserve)
+            self.tangent_matrix.eliminate()
+        return matrix, fresh
+
+    def lift(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = tangent at the state of the last `residual` times a change of the fixed unknowns."""
+        self._base().mult(change, result)
+        if self.contact is not None:
+            self.contact.add_product(self._terms, change, result)
+
+    def fixed_change(self) -> PETSc.Vec:
+        """How far the fixed unknowns are from where this load level wants them, zero elsewhere."""
+        change = self.state.duplicate()
+        change.set(0.0)
+        change.array[self.model.fixed] = self.targets - self.state.array_r[self.model.fixed]
+        return change
+
+    def refresh(self) -> None:
+        """Bring the model's state up to date where other ranks own it."""
+        self._update_ghosts(self.state)
+
+    def norms(self, vector: PETSc.Vec) -> Array:
+        """Euclidean norms of the displacement and the potential part of a vector, (1,) or (2,)."""
+        values = vector.array_r.reshape(-1, self.model.block) ** 2
+        parts = [values[:, : self.model.dim].sum()]
+        if self.model.electric:
+            parts.append(values[:, -1].sum())
+        return np.sqrt(reductions.total(self.comm, np.array(parts)))
+
+    def load_forces(self) -> Array:
+        """This rank's share of what the loads add to the residual: minus the nodal forces they apply."""
+        return self._loads.array_r.copy()
+
+    def displacements(self, vector: PETSc.Vec) -> Array:
+        """This rank's displacement part (nodes, d) of a vector."""
+        return vector.array_r.reshape(-1, self.model.block)[:, : self.model.dim]
+
+    def maximum(self, value: float) -> float:
+        """The largest of the ranks' values."""
+        return self.comm.allreduce(value, op=MPI.MAX)
+
+    def motion(self) -> float:
+        """How far a node has moved since the step began, um: the largest component."""
+        change = self.displacements(self.state) - self.displacements(self.start)
+        return self.maximum(float(np.abs(change).max(initial=0.0)))
+
+    def energies(self) -> dict[str, float]:
+        """Stored energies of the bulk at the present state, pJ: elastic, electric."""
+        self._update_ghosts(self.state)
+        elastic, electric = self._energy_forms
+        return {
+            "elastic": fenicsx.integral(elastic),
+            "electric": fenicsx.integral(electric) if electric is not None else 0.0,
+        }
+
+    def grounding_work(self) -> float:
+        """Work of the grounding springs in the step that ends at the present state, pJ."""
+        if self._grounding is None:
+            return 0.0
+        change = self.state - self.start
+        force = change.duplicate()
+        self._grounding.mult(change, force)
+        work = change.array_r * force.array_r
+        return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
+
+    def _compile(self) -> None:
+        model = self.model
+        kinematics = model.scene.model.kinematics
+        self._tangent_form = dolfinx.fem.form(tangent_form(model.state, model.law, kinematics))
+        self._residual_form = None
+        if self.finite:
+            self._residual_form = dolfinx.fem.form(internal_form(model.state, model.law, kinematics))
+        self._energy_forms = [
+            None if e is None else dolfinx.fem.form(e) for e in stored_energies(model.state, model.law, kinematics)
+        ]
+        loads = model.load_form()
+        self._load_form = None if loads.empty() else dolfinx.fem.form(loads)
+        derivative = None if loads.empty() else load_tangent(loads, model.state)
+        self._load_tangent = None if derivative is None else dolfinx.fem.form(derivative)
+
+    def _ground(self) -> None:
+        """The grounding matrix, where a part floats."""
+        model = self.model
+        self._grounding: PETSc.Mat | None = None
+        if not model.floating.any():
+            return
+        strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
+        values = GROUNDING * model.stiffness / model.part_size[:, None] ** 2 * model.floating
+        cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
+        strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
+        strength.x.scatter_forward()
+        form = dolfinx.fem.form(grounding_form(self._trial, self._test, strength))
+        self._grounding = dolfinx.fem.petsc.assemble_matrix(form)
+        self._grounding.assemble()
+
+    def _assemble_bulk(self) -> None:
+        self._bulk.zeroEntries()
+        dolfinx.fem.petsc.assemble_matrix(self._bulk, self._tangent_form)
+        if self._load_tangent is not None:
+            dolfinx.fem.petsc.assemble_matrix(self._bulk, self._load_tangent)
+        self._bulk.assemble()
+
+    def _base(self) -> PETSc.Mat:
+        """Bulk and grounding: all of the tangent but contact."""
+        if self._grounding is None:
+            return self._bulk
+        if self.finite or not hasattr(self, "_grounded"):
+            self._grounded = self._bulk.copy()
+            self._grounded.axpy(1.0, self._grounding, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        return self._grounded
+
+    def _update_bulk(self, x: PETSc.Vec) -> None:
+        if not self.finite:
+            return
+        with self.timer("assembly"):
+            self._set_state(x)
+            self._assemble_bulk()
+            self.tangent_matrix.set_bulk(self._base())
+
+    def _bulk_residual(self, x: PETSc.Vec) -> None:
+        if self.finite:
+            self._set_state(x)
+            self._assemble_into(self.full, self._residual_form)
+            if self._load_tangent is not None:
+                self._assemble_loads()
+        else:
+            self._bulk.mult(x, self.full)
+        self.full.axpy(1.0, self._loads)
+        if self._grounding is not None:
+            self._grounding.multAdd(x - self.start, self.full, self.full)
+
+    def _assemble_loads(self) -> None:
+        self._loads.set(0.0)
+        if self._load_form is not None:
+            self._assemble_into(self._loads, self._load_form)
+
+    def _assemble_into(self, vector: PETSc.Vec, form: Any) -> None:
+        with vector.localForm() as local:
+            local.set(0.0)
+        dolfinx.fem.petsc.assemble_vector(vector, form)
+        vector.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+
+    def _set_state(self, x: PETSc.Vec) -> None:
+        if x.handle != self.state.handle:
+            x.copy(self.state)
+        self._update_ghosts(self.state)
+
+    def _update_ghosts(self, vector: PETSc.Vec) -> None:
+        vector.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)

@@ -1,0 +1,120 @@
+"""Checks that need more than one section of a scene. Each raises SceneError with the full path of the key."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.scene_errors import SceneError, named, unknown_name
+from forms.materials import BUILT_IN
+from meshes.mesh_file import MeshFile
+
+if TYPE_CHECKING:
+    from app.scene import Scene
+
+OVERLAP = 0.1  # of the size of the smallest body, at the start
+
+
+def bodies(scene: Scene) -> None:
+    """Every body of the geometry has a material that exists, and every key is a body."""
+    known = scene.body_names
+    for body, material in scene.bodies.items():
+        if body not in known:
+            raise unknown_name(f"bodies.{body}", body, "a body of the geometry", known)
+        if material not in scene.materials and material not in BUILT_IN:
+            names = list(dict.fromkeys([*scene.materials, *BUILT_IN]))
+            raise unknown_name(f"bodies.{body}", material, "a material of the scene or a built-in one", names)
+    for body in known:
+        if body not in scene.bodies:
+            raise SceneError(f"bodies.{body}", "nothing", "a material of the scene or a built-in one for every body")
+
+
+def mesh(scene: Scene) -> None:
+    """Built shapes have a size of elements unless their cells are counted; factors belong to bodies."""
+    counted = isinstance(scene.geometry, MeshFile) or getattr(scene.geometry, "divisions", None) is not None
+    if scene.mesh.size is None and not counted:
+        raise SceneError("mesh.size", "nothing", "a number > 0: the size of elements far from contact, um")
+    for body in scene.mesh.size_factors:
+        if body not in scene.bodies:
+            raise unknown_name(f"mesh.size_factors.{body}", body, "a body of the geometry", scene.body_names)
+    if scene.dimension == 3 and scene.model.plane == "stress":
+        raise SceneError("model.plane", '"stress"', 'nothing but "strain" in three dimensions')
+
+
+def gap(scene: Scene) -> None:
+    """The bodies of a built shape do not overlap from the start by more than a tenth of the smallest one."""
+    given = getattr(scene.geometry, "gap", 0.0)
+    if given < 0 and -given > OVERLAP * scene.geometry.size():
+        least = -OVERLAP * scene.geometry.size()
+        allowed = f"a number >= {least:g}: bodies may overlap by a tenth of their size"
+        raise SceneError("geometry.gap", given, allowed)
+
+
+def orientations(scene: Scene) -> None:
+    """Axes of materials have as many components as the scene allows and are not parallel."""
+    for name, keys in scene.materials.items():
+        for key in ("poling", "axis1"):
+            direction = getattr(keys, key)
+            if direction is not None and len(direction) < scene.dimension:
+                raise SceneError(f"materials.{name}.{key}", direction, "3 numbers: the scene is three-dimensional")
+        if keys.axis1 is not None:
+            try:
+                scene.oriented(name)
+            except ValueError:
+                allowed = f"a direction that is not parallel to poling = {scene.poling(name)}"
+                raise SceneError(f"materials.{name}.axis1", keys.axis1, allowed) from None
+
+
+def boundaries(scene: Scene) -> None:
+    """Rows are on facet groups, one a group, with a component a dimension and a factor that exists."""
+    seen: dict[str, int] = {}
+    for index, row in enumerate(scene.boundaries):
+        key = f"boundaries[{index}]"
+        if row.on not in scene.facet_groups:
+            raise unknown_name(f"{key}.on", row.on, "a facet group of the geometry", scene.facet_groups)
+        if row.on in seen:
+            allowed = f'one row a facet group: "{row.on}" is boundaries[{seen[row.on]}] already'
+            raise SceneError(f"{key}.on", f'"{row.on}" again', allowed)
+        seen[row.on] = index
+        for name in ("displacement", "traction"):
+            vector = getattr(row, name)
+            if vector is not None and len(vector) != scene.dimension:
+                found = ["free" if value is None else value for value in vector]
+                raise SceneError(f"{key}.{name}", found, f"{scene.dimension} components, one a dimension")
+        for name in ("potential", "charge_density"):
+            if getattr(row, name) is not None and not scene.electric:
+                allowed = "nothing, unless the material of a body has a permittivity"
+                raise SceneError(f"{key}.{name}", getattr(row, name), allowed)
+        if row.follows is not None and row.follows not in scene.load.factors:
+            raise unknown_name(f"{key}.follows", row.follows, "a factor of load.factors", list(scene.load.factors))
+
+
+def contact(scene: Scene) -> None:
+    """Pairs name two different bodies or groups of facets, each pair once."""
+    if scene.contact is None:
+        return
+    pairs = scene.contact.pairs
+    if pairs == "auto":
+        if len(scene.bodies) < 2:
+            raise SceneError("contact.pairs", '"auto" with one body', 'two bodies, or [["slave", "master"], ...]')
+        return
+    known = list(dict.fromkeys([*scene.body_names, *scene.facet_groups]))
+    seen: dict[frozenset[str], int] = {}
+    for index, pair in enumerate(pairs):
+        key = f"contact.pairs[{index}]"
+        for side, name in enumerate(pair):
+            if name not in known:
+                raise unknown_name(f"{key}[{side}]", name, "a body or facet group of the geometry", known)
+        if pair[0] == pair[1]:
+            raise SceneError(key, pair, "two different bodies or facet groups")
+        if frozenset(pair) in seen:
+            raise SceneError(key, pair, f"each pair once: it is contact.pairs[{seen[frozenset(pair)]}] already")
+        seen[frozenset(pair)] = index
+
+
+def load(scene: Scene) -> None:
+    """Every load factor is followed."""
+    followed = {row.follows for row in scene.boundaries}
+    for name in scene.load.factors:
+        if name not in followed:
+            allowed = f"only factors that a boundary follows ({named(sorted(filter(None, followed)))})"
+            raise SceneError(f"load.factors.{name}", "a factor that nothing follows", allowed)

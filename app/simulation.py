@@ -1,0 +1,362 @@
+"""The story of one run: mesh, model, contact, load steps, results."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from app import checkpoint, fenicsx
+from app.contact_pairs import contact_of, pair_names
+from app.files import on_root
+from app.history import Balance, columns, row
+from app.model import Model
+from app.output import FieldOutput, contact_points
+from app.problem import Problem
+from app.progress import Progress
+from app.results import Results
+from app.scene import Scene, SceneError, mesh_error
+from app.solver import Newton, SolveError
+from app.stepping import Step, Stepper, StepReport, steps
+from app.timing import Timer
+from meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
+
+log = logging.getLogger("piezomat")
+
+OVERLAP = 0.1  # bodies that overlap by more than this share of their size at the start are a mistake in the scene
+
+
+class NotConverged(RuntimeError):
+    """The run ended before its last step; the message says why and what is kept. Raised on all ranks."""
+
+
+class Interrupted(RuntimeError):
+    """The run was told to stop; the message says what is kept. Raised on all ranks."""
+
+
+@dataclass
+class Run:
+    """What a run leaves: the history (a dict a row), the model with the last state, the mesh of bodies."""
+
+    history: list[dict[str, Any]]
+    model: Model
+    problem: Problem
+    bodies: BodyMesh
+
+    @property
+    def state(self) -> Any:
+        """The last state as a dolfinx Function: displacement (um) and potential / model.potential_scale."""
+        return self.model.state
+
+
+def run(
+    scene: Scene,
+    comm: MPI.Comm,
+    out: Path | None = None,
+    *,
+    resume: bool = False,
+    partition: Partition | None = None,
+) -> Run:
+    """Run a scene and return its history and last state; with `out`, write the results there. Collective.
+
+    `resume` goes on from the checkpoint in `out`, on any number of ranks. `partition` forces which rank gets which
+    cell (tests). Raises SceneError before any work, NotConverged or Interrupted with what converged kept in `out`.
+    """
+    timer = Timer()
+    with tempfile.TemporaryDirectory() as scratch, _stop_on_signal(comm) as stop:
+        saved = Path(comm.bcast(scratch)) / "mesh.msh"
+        with timer("mesh"):
+            bodies = _mesh(scene, comm, out, resume, saved, partition)
+        with timer("setup"):
+            model = Model(scene, bodies)
+            contact = contact_of(model)
+        problem = Problem(model, contact, timer)
+        newton = Newton(problem, scene.solver)
+        stepper = Stepper(problem, newton, scene.solver.max_cutbacks)
+        balance = Balance(problem)
+        pairs = ["-".join(pair) for pair in pair_names(model)] if contact is not None else []
+        if not resume:
+            _check_overlap(problem)
+        session = _Session(scene, comm, out, timer, model, problem, stepper, balance, pairs)
+        try:
+            session.open(resume, saved)
+            session.march(stop)
+        finally:
+            session.close()
+    return Run(session.history, model, problem, bodies)
+
+
+@dataclass
+class _Session:
+    """The marching part of a run with its results; without `out` nothing is written."""
+
+    scene: Scene
+    comm: MPI.Comm
+    out: Path | None
+    timer: Timer
+    model: Model
+    problem: Problem
+    stepper: Stepper
+    balance: Balance
+    pairs: list[str]
+
+    def __post_init__(self) -> None:
+        self.history: list[dict[str, Any]] = []
+        self.results = Results(self.out, self.comm) if self.out is not None else None
+        self.last_step = 0
+        self._fields: FieldOutput | None = None
+
+    def open(self, resume: bool, saved: Path) -> None:
+        """Start the result files, or take up those of an interrupted run."""
+        names = columns(self.model, self.pairs)
+        if self.results is None:
+            return
+        with self.timer("output"):
+            if resume:
+                self._restore(names)
+                return
+            self.results.start(self.scene.to_toml(), names)
+            folder = self.out / "checkpoint"
+            on_root(self.comm, lambda: _install(saved, folder / "mesh.msh"))
+            self._save_checkpoint()
+
+    def march(self, stop: _Stop) -> None:
+        """Take the load steps that are left, and write what the scene asks for."""
+        todo = [step for step in steps(self.scene.load) if step.number > self.last_step]
+        progress = Progress(self.comm, self.scene.title, self.last_step + len(todo), self.last_step)
+        reason = "all load steps converged"
+        failure: Exception | None = None
+        with progress:
+            log.info("%s", describe(self.model, self.problem, self.stepper.newton.direct, self.pairs))
+            for step in todo:
+                if stop.asked():
+                    failure = Interrupted(f"interrupted: {self._kept()}")
+                    break
+                began = perf_counter()
+                try:
+                    report = self.stepper.advance(step, lambda factors: self.balance.take())
+                except SolveError as error:
+                    failure = NotConverged(f"{error}; {self._kept()}")
+                    break
+                self._finish(step, report, self.comm.bcast(perf_counter() - began))
+                progress.step(self.history[-1])
+        if failure is not None:
+            reason = str(failure)
+            log.error("%s", reason)
+        self._conclude(failure is None, reason)
+        if failure is not None:
+            raise failure
+
+    def close(self) -> None:
+        """Close the log."""
+        if self.results is not None:
+            self.results.close()
+
+    def _finish(self, step: Step, report: StepReport, seconds: float) -> None:
+        self.history.append(row(self.problem, self.balance, self.pairs, step, report, seconds))
+        self.last_step = step.number
+        if self.results is None:
+            return
+        with self.timer("output"):
+            # The checkpoint holds the history too, so a run killed between the two writes loses nothing.
+            self._save_checkpoint()
+            self.results.row(self.history[-1])
+            if self.scene.output.fields == "all":
+                self._write_fields()
+
+    def _conclude(self, converged: bool, reason: str) -> None:
+        if self.results is None:
+            return
+        with self.timer("output"):
+            if self.scene.output.fields != "none" and self.history and self.scene.output.fields == "end":
+                self._write_fields()
+        cells = self.model.mesh.topology.index_map(self.model.dim).size_global
+        self.results.summary(
+            {
+                "title": self.scene.title,
+                "converged": converged,
+                "reason": reason,
+                "dofs": self.model.unknowns,
+                "cells": cells,
+                "bodies": list(self.model.bodies.bodies),
+                "timings": self.timer.timings(self.comm),
+            }
+        )
+        if self.scene.output.picture and self.history:
+            with self.timer("output"):
+                on_root(self.comm, lambda: _picture(self.out))
+
+    def _write_fields(self) -> None:
+        if self._fields is None:
+            self._fields = FieldOutput(self.model)
+        # Ghost values must be those of the converged state.
+        self.problem.refresh()
+        self.results.fields(self.last_step, float(self.last_step), self._fields.piece())
+        if self.problem.contact is not None:
+            points = contact_points(self.problem.contact, self.model.electric)
+            self.results.contact(self.last_step, points, float(self.last_step))
+
+    def _save_checkpoint(self) -> None:
+        model, contact = self.model, self.problem.contact
+        ids = _node_ids(model)
+        nodal = {
+            "state": (ids, self.problem.state.array_r.reshape(-1, model.block)),
+            "forces": (ids, self.balance.forces.array_r.reshape(-1, model.block)),
+        }
+        points = {}
+        if contact is not None:
+            known = [p.history.touched for p in contact.passes]
+            keys = np.concatenate([p.keys()[k] for p, k in zip(contact.passes, known, strict=True)])
+            opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.passes, known, strict=True)])
+            points["opening"] = (keys, opening[:, None])
+        scalars = {
+            "history": self.history,
+            "size": self.stepper.size,
+            "motion": self.stepper.last_motion,
+            "penetration": contact.last_penetration if contact is not None else 0.0,
+            "external_work": self.balance.external_work,
+            "stabilization": self.balance.stabilization,
+        }
+        checkpoint.save(self.comm, self.out / "checkpoint", self.last_step, nodal, points, scalars)
+
+    def _restore(self, names: list[str]) -> None:
+        model, contact = self.model, self.problem.contact
+        stored = checkpoint.load(self.comm, self.out / "checkpoint")
+        ids = _node_ids(model)
+        self.problem.state.array[:] = stored.nodal("state", ids).ravel()
+        self.balance.forces.array[:] = stored.nodal("forces", ids).ravel()
+        self.balance.external_work = stored.scalars["external_work"]
+        self.balance.stabilization = stored.scalars["stabilization"]
+        self.stepper.size = stored.scalars["size"]
+        self.stepper.last_motion = stored.scalars["motion"]
+        if contact is not None:
+            contact.last_penetration = stored.scalars["penetration"]
+            for p in contact.passes:
+                values, found = stored.points("opening", p.keys())
+                p.history.touched[:] = found
+                p.history.opening[:] = np.where(found, values[:, 0], 0.0)
+        self.history = list(stored.scalars["history"])
+        self.last_step = stored.step
+        self.results.resume(names, self.last_step, self.history)
+
+    def _kept(self) -> str:
+        where = f" in {self.out}" if self.out is not None else ""
+        if self.last_step == 0:
+            return "no step had converged"
+        return f"steps 1 to {self.last_step} are kept{where}"
+
+
+def plan(scene: Scene, comm: MPI.Comm) -> str:
+    """What would be modelled and solved, and why; nothing is solved. Collective."""
+    from app.plan import plan_text
+
+    with tempfile.TemporaryDirectory() as scratch:
+        bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
+        model = Model(scene, bodies)
+        return plan_text(model, contact_of(model), pair_names(model) if scene.contact else [])
+
+
+def describe(model: Model, problem: Problem, direct: bool, pairs: list[str]) -> str:
+    """One line for the log: size, physics, solver."""
+    physics = "displacement and potential" if model.electric else "displacement"
+    how = "one linear solve a step" if problem.linear else "Newton's method"
+    solver = "direct" if direct else "Krylov with multigrid"
+    return f"{model.unknowns} unknowns ({physics}), {len(pairs)} contact pairs, {how}, {solver} linear solver"
+
+
+class _Stop:
+    """Whether any rank has been told to stop."""
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self.comm = comm
+        self.signal = 0
+
+    def asked(self) -> bool:
+        """Collective."""
+        return bool(self.comm.allreduce(self.signal, op=MPI.MAX))
+
+
+@contextmanager
+def _stop_on_signal(comm: MPI.Comm) -> Iterator[_Stop]:
+    """Turn SIGINT and SIGTERM into a wish to stop after the present step; the second one ends at once."""
+    stop = _Stop(comm)
+
+    def note(number: int, frame: Any) -> None:
+        stop.signal = number
+        for name in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(name, signal.SIG_DFL)
+
+    try:
+        before = {name: signal.signal(name, note) for name in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not in the main thread: the caller handles signals
+        before = {}
+    try:
+        yield stop
+    finally:
+        for name, handler in before.items():
+            signal.signal(name, handler)
+
+
+def _mesh(
+    scene: Scene, comm: MPI.Comm, out: Path | None, resume: bool, saved: Path, partition: Partition | None
+) -> BodyMesh:
+    geometry = MeshFile(file=out / "checkpoint" / "mesh.msh") if resume else scene.geometry
+    save = saved if out is not None and not resume else None
+    try:
+        return create(comm, geometry, scene.sizes, save=save, partition=partition)
+    except MeshError as error:
+        raise mesh_error(error) from None
+
+
+def _install(saved: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(f".{target.name}.part")
+    shutil.copyfile(saved, part)
+    os.replace(part, target)
+
+
+def _check_overlap(problem: Problem) -> None:
+    """Raise SceneError where bodies overlap at the start by more than a tenth of their size."""
+    contact = problem.contact
+    if contact is None:
+        return
+    size = 2.0 * float(problem.model.part_size.min())
+    problem.begin_step(max(contact.least_margin(), size))
+    with problem.timer("contact"):
+        contact.evaluate(problem.state, tangent=False)
+    overlap = contact.penetration()
+    if overlap > OVERLAP * size:
+        raise SceneError(
+            "geometry",
+            f"bodies that overlap by {overlap:.3g} um at the start",
+            f"an overlap of at most a tenth of their size ({OVERLAP * size:.3g} um)",
+        )
+
+
+def _node_ids(model: Model) -> Any:
+    """Numbers of the owned nodes in the mesh file."""
+    ids = np.zeros(model.owned + model.space.dofmap.index_map.num_ghosts, np.int64)
+    ids[fenicsx.dofmap(model.space)] = fenicsx.node_ids(model.mesh)[fenicsx.geometry_dofmap(model.mesh)]
+    return ids[: model.owned]
+
+
+def _picture(out: Path) -> None:
+    from app import pictures
+
+    try:
+        pictures.view(out)
+    except Exception as error:  # a picture must not cost the run its results
+        log.warning("no picture: %s", error)
+        print(f"piezomat: no picture: {error}", file=sys.stderr)

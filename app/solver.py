@@ -1,0 +1,265 @@
+"""Newton's method (PETSc SNES) and its linear solvers: what is chosen, and why."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.model import Model, rigid_modes
+from app.problem import Problem
+from app.scene_sections import Solver
+
+log = logging.getLogger("piezomat")
+
+PREFIX = "piezomat_"
+# Largest three-dimensional model for which a direct factorization is the faster choice (REFERENCES: MUMPS takes
+# 2.8 s at 50,000 unknowns and 74 s at 251,000, multigrid 6.5 s there).
+DIRECT_LIMIT_3D = 60_000
+FIELD_FLOOR = 1e-3  # a field's residual is measured against at least this share of the other field's forces
+REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
+
+
+class SolveError(RuntimeError):
+    """A load level could not be solved; the message is the reason in words. Raised on all ranks."""
+
+
+@dataclass
+class NewtonReport:
+    """Newton iterations (the start value counts as one), Krylov iterations, and relative residuals per iteration."""
+
+    iterations: int = 0
+    krylov: int = 0
+    residuals: list[float] = field(default_factory=list)
+
+
+def is_direct(model_dim: int, unknowns: int, keys: Solver) -> bool:
+    """Whether the linear systems are factorized: in 2D, and in 3D as long as that is cheap, unless told otherwise."""
+    if keys.kind != "auto":
+        return keys.kind == "direct"
+    return model_dim == 2 or unknowns <= DIRECT_LIMIT_3D
+
+
+class Newton:
+    """Solves a `Problem` at its present load level, starting from its present state. Every method is collective."""
+
+    def __init__(self, problem: Problem, keys: Solver) -> None:
+        self.problem = problem
+        self.keys = keys
+        self.comm = problem.comm
+        self.direct = is_direct(problem.model.dim, problem.model.unknowns, keys)
+        self._residual = problem.state.duplicate()
+        self._right = problem.state.duplicate()
+        self._change = problem.state.duplicate()
+        self._reference = np.zeros(1 + problem.model.electric)
+        self._kept: list[PETSc.Mat] = []
+        self._repair = False
+        self._set_options()
+        self.snes = PETSc.SNES().create(self.comm)
+        self.snes.setOptionsPrefix(PREFIX)
+        self.snes.setType(PETSc.SNES.Type.NEWTONLS)
+        self.snes.setTolerances(max_it=keys.max_iterations)
+        self.snes.setFunction(self._evaluate, self._residual)
+        self.snes.setConvergenceTest(self._converged)
+        self.snes.setFromOptions()
+        self._fields_set = False
+
+    def solve(self, margin: float) -> NewtonReport:
+        """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
+
+        margin (um): how far the contact search looked when the step's surfaces were paired.
+        """
+        report = NewtonReport()
+        self._report = report
+        self._reference[:] = 0.0
+        self._predict(report)
+        if self.problem.linear:
+            self._check_linear(report)
+            return report
+        for _ in range(REPAIRINGS):
+            self._repair = False
+            self.snes.setJacobian(self._tangent, self._kept[-1])
+            self.snes.solve(None, self.problem.state)
+            report.iterations += self.snes.getIterationNumber()
+            report.krylov += self.snes.getLinearSolveIterations()
+            if not self._repair:
+                self._check(self.snes.getConvergedReason())
+                penetration = self.problem.contact.penetration() if self.problem.contact else 0.0
+                if penetration <= 0.5 * margin:
+                    return report
+                margin = 4.0 * penetration
+            else:
+                margin = 2.0 * margin
+            if report.iterations > REPAIRINGS * self.keys.max_iterations:
+                break
+            self.problem.pair(margin)
+        raise SolveError("the contact surfaces kept moving further than the contact search had looked")
+
+    def _predict(self, report: NewtonReport) -> None:
+        """The start value: one linear step from the converged state that takes up the change of what is fixed.
+
+        Without it a boundary would jump while the rest stays, and the first residual would be that of a torn body.
+        """
+        problem = self.problem
+        fixed = problem.model.fixed
+        problem.residual(problem.state, self._residual)
+        change = problem.fixed_change()
+        self._residual.copy(self._right)
+        self._right.scale(-1.0)
+        matrix = self._new_tangent(problem.state)
+        problem.lift(change, self._change)
+        self._right.axpy(-1.0, self._change)
+        free = self._right.array_r.copy()
+        free[fixed] = 0.0
+        self._right.array[:] = free
+        self._reference = np.maximum(self._reference, problem.norms(self._right))
+        self._right.array[fixed] = change.array_r[fixed]
+        ksp = self.snes.getKSP()
+        ksp.setOperators(matrix)
+        self._prepare_fields(matrix)
+        with problem.timer("linear_solve"):
+            ksp.solve(self._right, self._change)
+        self._check_ksp(ksp)
+        problem.state.axpy(1.0, self._change)
+        problem.state.array[fixed] = problem.targets
+        report.iterations += 1
+        report.krylov += ksp.getIterationNumber()
+
+    def _new_tangent(self, x: PETSc.Vec) -> PETSc.Mat:
+        matrix, fresh = self.problem.tangent(x)
+        if fresh:
+            # SNES still holds the matrix of the old pattern while it asks for the new one.
+            self._kept = [*self._kept[-1:], matrix]
+        return matrix
+
+    def _evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        self.problem.residual(x, result)
+
+    def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
+        if self.problem.contact is not None:
+            self.problem.contact.settle(snes.getIterationNumber())
+        matrix = self._new_tangent(x)
+        if matrix.handle != a.handle:
+            snes.setJacobian(self._tangent, matrix)
+
+    def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
+        """Each field's residual against the forces of that field; a NaN, or a pairing outgrown, ends the solve."""
+        contact = self.problem.contact
+        if contact is not None and contact.outgrown:
+            self._repair = True
+            return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
+        ratio = self._relative(snes.getFunction()[0])
+        self._report.residuals.append(ratio)
+        if not np.isfinite(ratio):
+            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+        if ratio <= self.keys.tolerance:
+            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
+        if iteration >= self.keys.max_iterations:
+            return PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
+        return PETSc.SNES.ConvergedReason.ITERATING
+
+    def _relative(self, residual: PETSc.Vec) -> float:
+        """Largest of the fields' residuals over their reference: reactions and the step's out-of-balance forces."""
+        problem = self.problem
+        norms = problem.norms(residual)
+        forces = np.maximum(self._reference, problem.norms(problem.full))
+        floor = 1e-15 * problem.model.stiffness * problem.model.part_size.min() ** (problem.model.dim - 1)
+        forces = np.maximum(forces, max(FIELD_FLOOR * forces.max(), floor))
+        return float((norms / forces).max())
+
+    def _check_linear(self, report: NewtonReport) -> None:
+        self.problem.residual(self.problem.state, self._residual)
+        ratio = self._relative(self._residual)
+        report.residuals.append(ratio)
+        if not ratio <= self.keys.tolerance:
+            raise SolveError(f"the linear system was solved to a relative residual of {ratio:.1e} only")
+
+    def _check(self, reason: int) -> None:
+        if reason > 0:
+            return
+        last = self._report.residuals[-1] if self._report.residuals else float("nan")
+        words = {
+            PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: f"Newton's method needs more than {self.keys.max_iterations} "
+            f"iterations (relative residual {last:.1e})",
+            PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN: "the residual is not a number",
+            PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: f"no step reduces the residual (relative {last:.1e})",
+        }
+        if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            self._check_ksp(self.snes.getKSP())
+        raise SolveError(words.get(reason, f"Newton's method stopped (PETSc SNES reason {reason})"))
+
+    def _check_ksp(self, ksp: PETSc.KSP) -> None:
+        reason = ksp.getConvergedReason()
+        if reason > 0:
+            return
+        if self.direct:
+            raise SolveError("the tangent matrix is singular: something can move, or charge up, without resistance")
+        raise SolveError(f"the Krylov solver stopped after {ksp.getIterationNumber()} iterations (reason {reason})")
+
+    def _set_options(self) -> None:
+        options = PETSc.Options()
+        chosen: dict[str, Any] = {"snes_linesearch_type": "basic"}
+        if self.direct:
+            # LDL^T of the symmetric tangent takes half the work of LU; both can pivot on its negative block.
+            factor = "cholesky" if self.problem.symmetric else "lu"
+            chosen |= {"ksp_type": "preonly", "pc_type": factor, "pc_factor_mat_solver_type": "mumps"}
+            chosen |= {"mat_mumps_icntl_14": 60}
+        else:
+            chosen |= {"ksp_type": "fgmres", "ksp_rtol": 1e-8, "ksp_gmres_restart": 100, "ksp_max_it": 1000}
+            chosen |= self._multigrid()
+        for name, value in {**chosen, **self.keys.petsc}.items():
+            options[PREFIX + name] = value
+
+    def _multigrid(self) -> dict[str, Any]:
+        """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""
+        amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02, "mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "sor"}
+        if not self.problem.model.electric:
+            return amg
+        d = self.problem.model.dim
+        split: dict[str, Any] = {
+            "pc_type": "fieldsplit",
+            "pc_fieldsplit_type": "multiplicative",
+            "pc_fieldsplit_block_size": d + 1,
+            "pc_fieldsplit_0_fields": ",".join(str(i) for i in range(d)),
+            "pc_fieldsplit_1_fields": str(d),
+            "fieldsplit_1_ksp_type": "preonly",
+            "fieldsplit_1_pc_type": "hypre",
+            "fieldsplit_0_ksp_type": "preonly",
+        }
+        return split | {f"fieldsplit_0_{name}": value for name, value in amg.items()}
+
+    def _prepare_fields(self, matrix: PETSc.Mat) -> None:
+        """Give the multigrid of the displacements the rigid-body modes."""
+        if self.direct:
+            return
+        model = self.problem.model
+        modes = _near_nullspace(model, self.comm)
+        pc = self.snes.getKSP().getPC()
+        if not model.electric:
+            matrix.setNearNullSpace(modes)
+            return
+        pc.setUp()
+        displacement = pc.getFieldSplitSubKSP()[0]
+        block = displacement.getOperators()[1]
+        block.setBlockSize(model.dim)
+        block.setNearNullSpace(modes)
+
+
+def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
+    x = model.coordinates[: model.owned]
+    modes: NDArray[np.float64] = rigid_modes(x)
+    vectors = []
+    for k in range(modes.shape[2]):
+        vector = PETSc.Vec().createMPI((model.owned * model.dim, None), bsize=model.dim, comm=comm)
+        vector.array[:] = modes[:, :, k].ravel()
+        vectors.append(vector)
+    for i, vector in enumerate(vectors):
+        for other in vectors[:i]:
+            vector.axpy(-vector.dot(other), other)
+        vector.normalize()
+    return PETSc.NullSpace().create(vectors=vectors, comm=comm)

@@ -1,0 +1,119 @@
+"""Lagrange facets: shape functions, reference domains and quadrature for every kind of contact facet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_LINE = [(0.0,), (1.0,), (0.5,)]
+_TRIANGLE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5), (0.0, 0.5), (0.5, 0.0)]
+_SQUARE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
+_SQUARE2 = [*_SQUARE, (0.5, 0.0), (0.0, 0.5), (1.0, 0.5), (0.5, 1.0), (0.5, 0.5)]
+
+
+@dataclass(frozen=True)
+class FacetKind:
+    """A Lagrange facet: nodes (n, t) on the reference facet and the monomials that span its functions.
+
+    Nodes are in DOLFINx (Basix) order: vertices, edges, interior. Reference domains are the unit interval,
+    triangle and square.
+    """
+
+    name: str
+    nodes: Array
+    powers: NDArray[np.int64]
+    coefficients: Array
+    simplex: bool
+
+    @property
+    def affine(self) -> bool:
+        """Whether the facet's map is affine, so that its normal is constant."""
+        return self.name in ("line2", "tri3")
+
+    @property
+    def dim(self) -> int:
+        """Topological dimension of the facet."""
+        return self.nodes.shape[1]
+
+    @property
+    def order(self) -> int:
+        """Polynomial order of the facet."""
+        return 1 if self.name in ("line2", "tri3", "quad4") else 2
+
+    def shape(self, xi: Array, derivative: tuple[int, ...] = ()) -> Array:
+        """Shape functions (m, n) at points xi (m, t), differentiated along the given axes."""
+        powers = self.powers.copy()
+        factor = np.ones(len(powers))
+        for axis in derivative:
+            factor = factor * powers[:, axis]
+            powers[:, axis] = np.maximum(powers[:, axis] - 1, 0)
+        monomials = np.tile(factor, (len(xi), 1))
+        for axis in range(self.dim):
+            column = xi[:, axis : axis + 1]
+            power = powers[:, axis]
+            monomials *= np.where(power == 0, 1.0, np.where(power == 1, column, column * column))
+        return monomials @ self.coefficients
+
+    def overshoot(self, xi: Array) -> Array:
+        """How far points xi (m, t) lie outside the reference facet, in reference lengths; negative inside."""
+        upper = 1.0 - (xi.sum(axis=1, keepdims=True) if self.simplex else xi)
+        return -np.minimum(xi.min(axis=1), upper.min(axis=1))
+
+    def clamp(self, xi: Array) -> Array:
+        """Points xi (m, t) moved onto the reference facet."""
+        if not self.simplex:
+            return np.clip(xi, 0.0, 1.0)
+        weights = np.clip(np.column_stack([1.0 - xi.sum(axis=1), xi]), 0.0, None)
+        return weights[:, 1:] / weights.sum(axis=1, keepdims=True)
+
+    def quadrature(self) -> tuple[Array, Array]:
+        """Points (m, t) and weights (m) of the rule for `point` contact: exact for degree 2 p + 1 or so."""
+        if self.simplex and self.dim == 2:
+            return _triangle_rule(self.order)
+        x, w = np.polynomial.legendre.leggauss(self.order + 1)
+        x, w = 0.5 * (x + 1.0), 0.5 * w
+        if self.dim == 1:
+            return x[:, None], w
+        points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+        return points, np.outer(w, w).ravel()
+
+
+def _triangle_rule(order: int) -> tuple[Array, Array]:
+    """Symmetric rules of Strang and Fix (1973): 3 points of degree 2, 6 points of degree 4."""
+    if order == 1:
+        return np.array([[1, 1], [4, 1], [1, 4]]) / 6.0, np.full(3, 1.0 / 6.0)
+    a, b = 0.445948490915965, 0.091576213509771
+    points = [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a], [b, b], [1 - 2 * b, b], [b, 1 - 2 * b]]
+    return np.array(points), 0.5 * np.repeat([0.223381589678011, 0.109951743655322], 3)
+
+
+@cache
+def facet_kind(name: str) -> FacetKind:
+    """The facet kind of that name: line2, line3, tri3, tri6, quad4 or quad9."""
+    nodes, powers = {
+        "line2": (_LINE[:2], [(0,), (1,)]),
+        "line3": (_LINE, [(0,), (1,), (2,)]),
+        "tri3": (_TRIANGLE[:3], [(0, 0), (1, 0), (0, 1)]),
+        "tri6": (_TRIANGLE, [(0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2)]),
+        "quad4": (_SQUARE, [(0, 0), (1, 0), (0, 1), (1, 1)]),
+        "quad9": (_SQUARE2, [(i, j) for i in range(3) for j in range(3)]),
+    }[name]
+    x, p = np.array(nodes), np.array(powers)
+    vandermonde = np.prod(x[:, None, :] ** p[None], axis=2)
+    return FacetKind(name, x, p, np.linalg.inv(vandermonde), not name.startswith("quad"))
+
+
+def facet_kind_of(cell_type: str, order: int) -> FacetKind:
+    """The kind of the facets of a cell: triangle, quadrilateral, tetrahedron or hexahedron of order 1 or 2."""
+    names = {
+        "triangle": ("line2", "line3"),
+        "quadrilateral": ("line2", "line3"),
+        "tetrahedron": ("tri3", "tri6"),
+        "hexahedron": ("quad4", "quad9"),
+    }
+    return facet_kind(names[cell_type][order - 1])

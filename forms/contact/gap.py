@@ -1,0 +1,246 @@
+"""Closest points, gaps and potential jumps on facet pairs, with their first and second variations.
+
+A batch holds m slave points, each paired with one master facet of n nodes. The gap is g = (x_s - x_m(xi)) . n
+with xi the closest point, so that its variation needs no variation of xi (Wriggers 2006, ch. 4.1), and the
+potential jump is j = phi_s - phi_m(xi), which does move with xi.
+
+Every second variation is written as W^T Q W: W stacks a few vectors over the pair's unknowns (normal, tangents,
+rotations of the facet), Q is a small matrix per point. `Variations` holds W and the indices of its rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forms.contact.facets import FacetKind
+
+Array = NDArray[np.float64]
+
+CURVED_ITERATIONS = 20
+CLOSEST_POINT_TOLERANCE = 1e-13
+
+
+@dataclass
+class Projection:
+    """Closest points of m slave points on their master facets with nodes (m, n, d).
+
+    xi (m, t), gap (m,), normal (m, d) outward from the master, tangents (m, t, d), second (m, t, t, d) = x_,ab
+    (zero on affine facets), curvature (m, t, t) = n . x_,ab.
+    """
+
+    nodes: Array
+    xi: Array
+    gap: Array
+    normal: Array
+    tangents: Array
+    second: Array
+    curvature: Array
+
+    def __getitem__(self, rows: NDArray) -> Projection:
+        return Projection(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def _at(kind: FacetKind, xi: Array, values: Array, *derivative: int) -> Array:
+    """Nodal values (m, n, ...) of each facet, or a derivative of them, at its own point xi (m, t)."""
+    return np.einsum("mk,mk...->m...", kind.shape(xi, derivative), values)
+
+
+def _gradient(kind: FacetKind, xi: Array, values: Array, *derivative: int) -> Array:
+    """Derivatives along every axis, (m, t, ...)."""
+    return np.stack([_at(kind, xi, values, *derivative, axis) for axis in range(kind.dim)], axis=1)
+
+
+def _hessian(kind: FacetKind, xi: Array, values: Array, *derivative: int) -> Array:
+    """Second derivatives along every two axes, (m, t, t, ...)."""
+    return np.stack([_gradient(kind, xi, values, *derivative, axis) for axis in range(kind.dim)], axis=1)
+
+
+def facet_normal(tangents: Array, orientation: Array) -> Array:
+    """Unit normals (m, d) from tangents (m, t, d), times the orientation (m,) that makes them point outward."""
+    if tangents.shape[2] == 2:
+        t = tangents[:, 0]
+        normal = np.stack([t[:, 1], -t[:, 0]], axis=1)
+    else:
+        normal = np.cross(tangents[:, 0], tangents[:, 1])
+    return normal * (orientation / np.linalg.norm(normal, axis=1))[:, None]
+
+
+def project(kind: FacetKind, points: Array, nodes: Array, orientation: Array, xi: Array | None = None) -> Projection:
+    """Closest points of `points` (m, d) on facets with current `nodes` (m, n, d), not limited to the facet.
+
+    `xi` starts the iteration on curved facets (default: the middle). Newton's method on the squared distance, with
+    the curvature term left out where it would lose the minimum.
+    """
+    xi = np.tile(_middle(kind), (len(points), 1)) if xi is None else np.array(xi, float)
+    active = np.arange(len(points))
+    for _ in range(1 if kind.affine else CURVED_ITERATIONS):
+        if not len(active):
+            break
+        here, facets = xi[active], nodes[active]
+        away = points[active] - _at(kind, here, facets)
+        tangents = _gradient(kind, here, facets)
+        slope = np.einsum("mad,md->ma", tangents, away)
+        matrix = np.einsum("mad,mbd->mab", tangents, tangents)
+        if not kind.affine:
+            full = matrix - np.einsum("mabd,md->mab", _hessian(kind, here, facets), away)
+            safe = np.linalg.eigvalsh(full)[:, 0] > 0.1 * np.linalg.eigvalsh(matrix)[:, 0]
+            matrix[safe] = full[safe]
+        step = np.linalg.solve(matrix, slope[..., None])[..., 0]
+        length = np.abs(step).max(axis=1)
+        if not kind.affine:
+            step /= np.maximum(length, 1.0)[:, None]
+        xi[active] += step
+        active = active[length > CLOSEST_POINT_TOLERANCE]
+    tangents = _gradient(kind, xi, nodes)
+    normal = facet_normal(tangents, orientation)
+    gap = np.einsum("md,md->m", points - _at(kind, xi, nodes), normal)
+    second = np.zeros((len(xi), kind.dim, kind.dim, points.shape[1]))
+    if not kind.affine:
+        second = _hessian(kind, xi, nodes)
+    curvature = np.einsum("mabd,md->mab", second, normal)
+    return Projection(nodes, xi, gap, normal, tangents, second, curvature)
+
+
+def _middle(kind: FacetKind) -> Array:
+    return np.full(kind.dim, 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
+
+
+@dataclass
+class Variations:
+    """Vectors over the unknowns of a pair that span the variations of gap and jump, and matrices between them.
+
+    rows (m, r, n_pair, c): r vectors over the pair's n_pair nodes (slave nodes first) with c unknowns each.
+    gap, jump (m, r): the first variations in terms of the rows. gap2, jump2 (m, r, r): the second variations.
+    """
+
+    rows: Array
+    gap: Array
+    jump: Array | None = None
+    gap2: Array | None = None
+    jump2: Array | None = None
+
+
+def variations(
+    kind: FacetKind,
+    projection: Projection,
+    slave_shape: Array,
+    components: int,
+    potentials: Array | None = None,
+    *,
+    second: bool = True,
+) -> Variations:
+    """First and second variations of the gap and, given the master's potentials (m, n), of the jump.
+
+    slave_shape (m, n_s): shape functions of the slave facet at its points. components: unknowns a node, the
+    displacements first and then, if `potentials` is given, the potential. Without `second`, first variations only.
+    """
+    p, t, d = projection, kind.dim, projection.normal.shape[1]
+    axes = range(t)
+    none = np.zeros_like(slave_shape)
+    both = np.concatenate([slave_shape, -kind.shape(p.xi)], axis=1)  # value at the slave minus value at the master
+    slope = [np.concatenate([none, kind.shape(p.xi, (i,))], axis=1) for i in axes]
+    space = _Rows(len(both), both.shape[1], components)
+
+    n = space.displacement(both, p.normal)  # approach
+    a = [space.displacement(both, p.tangents[:, i]) for i in axes]  # relative sliding
+    c = [space.displacement(slope[i], p.normal) for i in axes]  # tilt of the facet
+    b = space.potential(both) if potentials is not None else None
+    if potentials is not None and second:
+        q = [space.potential(slope[i]) for i in axes]
+        e = [[space.displacement(slope[i], p.tangents[:, j]) for j in axes] for i in axes]  # stretch of the facet
+        bend = [[np.concatenate([none, kind.shape(p.xi, (i, j))], axis=1) for j in axes] for i in axes]
+        f = [[space.displacement(bend[i][j], p.normal) for j in axes] for i in axes] if not kind.affine else None
+
+    metric = np.einsum("mad,mbd->mab", p.tangents, p.tangents)
+    inverse_metric = np.linalg.inv(metric)
+    gap = p.gap[:, None, None]
+    inverse = np.linalg.inv(metric - gap * p.curvature)
+    n_, a_, c_ = space.unit(n), space.units(a), space.units(c)
+    xi_ = inverse @ (a_ + gap * c_)  # variation of the closest point
+
+    result = Variations(space.rows(), n_)
+    if b is not None:
+        phi_1 = _gradient(kind, p.xi, potentials)
+        result.jump = space.unit(b) - np.einsum("ma,mar->mr", phi_1, xi_)
+    if not second:
+        return result
+
+    # -(a A^-1 k m^-1 a + c A^-1 a + a A^-1 c + g c A^-1 c), symmetric because A = m - g k
+    result.gap2 = -_outer(a_, inverse @ p.curvature @ inverse_metric @ a_)
+    result.gap2 -= _outer(c_, inverse @ a_) + _outer(a_, inverse @ c_) + _outer(c_, gap * (inverse @ c_))
+    if b is None:
+        return result
+
+    # Second variation of xi contracted with phi_,a: the derivative of A dxi = a + g c, with mu = phi_,a A^-1.
+    mu = np.einsum("ma,mab->mb", phi_1, inverse)
+    e_ = np.stack([space.units(e[i]) for i in axes], axis=1)
+    mu_e = np.einsum("ma,magr->mgr", mu, e_)  # mu_a e_ag
+    mu_c = np.einsum("ma,mar->mr", mu, c_)
+    mu_k = np.einsum("ma,mab->mb", mu, p.curvature)
+    turn = inverse_metric @ (c_ + p.curvature @ xi_)  # minus the rotation of the normal, in tangents
+    christoffel = np.einsum("mabd,mgd->mabg", p.second, p.tangents)
+    mu_g = np.einsum("ma,mabg->mbg", mu, christoffel)
+    follow = mu_k[:, :, None] * n_[:, None] + mu_g @ inverse_metric @ a_ - np.einsum("ma,mbar->mbr", mu, e_)
+    change = mu_e + np.einsum("ma,mbar->mbr", mu, e_) - mu_k[:, :, None] * n_[:, None]
+    change += np.einsum("ma,magb,mgr->mbr", mu, christoffel, xi_) + np.einsum("ma,mbga,mgr->mbr", mu, christoffel, xi_)
+    change += gap * (mu_g @ turn)
+    if f is not None:
+        f_ = np.stack([space.units(f[i]) for i in axes], axis=1)
+        third = np.stack([_hessian(kind, p.xi, p.nodes, i) for i in axes], axis=1)
+        mu_f = np.einsum("ma,mabr->mbr", mu, f_)
+        follow += gap * mu_f
+        change -= gap * mu_f
+        change -= gap * np.einsum("ma,mabgd,md,mgr->mbr", mu, third, p.normal, xi_)
+    xi2 = _outer(mu_c[:, None], n_[:, None]) + _outer(n_[:, None], mu_c[:, None])
+    xi2 += _outer(inverse_metric @ mu_e, a_) + _outer(xi_, follow) - _outer(turn, gap * mu_e) - _outer(change, xi_)
+
+    q_ = space.units(q)
+    phi_2 = _hessian(kind, p.xi, potentials)
+    result.jump2 = -_outer(q_, xi_) - _outer(xi_, q_) - _outer(xi_, phi_2 @ xi_) - xi2
+    return result
+
+
+def _outer(left: Array, right: Array) -> Array:
+    """Sum over axis 1 of the outer products of (m, k, r) and (m, k, r)."""
+    return np.swapaxes(left, 1, 2) @ right
+
+
+class _Rows:
+    """Collects vectors over the unknowns of m pairs and names them by unit vectors."""
+
+    def __init__(self, pairs: int, nodes: int, components: int) -> None:
+        self._shape = (pairs, nodes, components)
+        self._rows: list[Array] = []
+
+    def displacement(self, shape: Array, direction: Array) -> int:
+        """The vector shape (m, nodes) times direction (m, d) in the displacements."""
+        row = np.zeros(self._shape)
+        row[:, :, : direction.shape[1]] = shape[:, :, None] * direction[:, None, :]
+        return self._add(row)
+
+    def potential(self, shape: Array) -> int:
+        """The vector shape (m, nodes) in the potential."""
+        row = np.zeros(self._shape)
+        row[:, :, -1] = shape
+        return self._add(row)
+
+    def _add(self, row: Array) -> int:
+        self._rows.append(row)
+        return len(self._rows) - 1
+
+    def unit(self, index: int) -> Array:
+        """(m, r): row `index` alone."""
+        vector = np.zeros((self._shape[0], len(self._rows)))
+        vector[:, index] = 1.0
+        return vector
+
+    def units(self, indices: list[int]) -> Array:
+        """(m, k, r): the rows of `indices`."""
+        return np.stack([self.unit(i) for i in indices], axis=1)
+
+    def rows(self) -> Array:
+        """(m, r, nodes, components): every row."""
+        return np.stack(self._rows, axis=1)

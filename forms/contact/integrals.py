@@ -1,0 +1,100 @@
+"""Contact integrals: which points with which weights, and each point's share of residual and tangent.
+
+`node`, `point` (and `segment`) contact differ in points and weights alone; the integrand is the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forms.contact.facets import FacetKind
+from forms.contact.gap import Projection, variations
+from forms.contact.laws import Response
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SlavePoints:
+    """Integration points of a slave surface: facet (m,), xi (m, t), shape (m, n), weight (m,) in um2 (2D: um).
+
+    place (m,) numbers the points within their facet.
+    """
+
+    facet: NDArray[np.int64]
+    place: NDArray[np.int64]
+    xi: Array
+    shape: Array
+    weight: Array
+
+
+def _surface_metric(kind: FacetKind, xi: Array, nodes: Array) -> Array:
+    """Area per reference area (facets, points) of facets with nodes (facets, n, d) at xi (points, t)."""
+    tangents = np.stack([np.einsum("qk,fkd->fqd", kind.shape(xi, (a,)), nodes) for a in range(kind.dim)], axis=2)
+    return np.sqrt(np.linalg.det(tangents @ np.swapaxes(tangents, 2, 3)))
+
+
+def quadrature_points(kind: FacetKind, nodes: Array) -> SlavePoints:
+    """Gauss points of each facet with reference coordinates `nodes` (facets, n, d)."""
+    xi, weight = kind.quadrature()
+    return _points(kind, xi, _surface_metric(kind, xi, nodes) * weight)
+
+
+def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = None) -> SlavePoints:
+    """The nodes of each facet, weighted by the area that belongs to them, integral of N_i.
+
+    A node appears once for each of its facets, with its share. `multiplicity` (facets, n), the number of facets that
+    share each node, asks for unit weights instead: one spring a node, whatever its area, as Maruccio et al. (2020)
+    print it.
+    """
+    if multiplicity is not None:
+        return _points(kind, kind.nodes, 1.0 / multiplicity)
+    xi, weight = kind.quadrature()
+    area = _surface_metric(kind, xi, nodes) * weight
+    return _points(kind, kind.nodes, area @ kind.shape(xi))
+
+
+def _points(kind: FacetKind, xi: Array, weight: Array) -> SlavePoints:
+    facets, places = weight.shape
+    facet = np.repeat(np.arange(facets), places)
+    place = np.tile(np.arange(places), facets)
+    return SlavePoints(facet, place, xi[place], kind.shape(xi)[place], weight.ravel())
+
+
+def contact_vectors(
+    kind: FacetKind,
+    projection: Projection,
+    slave_shape: Array,
+    weight: Array,
+    response: Response,
+    components: int,
+    potentials: Array | None,
+    *,
+    tangent: bool,
+) -> tuple[Array, Array | None]:
+    """Residual vectors (m, n_pair, c) and, if asked for, tangents (m, n_pair * c, n_pair * c) of contact points.
+
+    The derivative of weight * enthalpy with respect to the pair's unknowns, slave nodes first. `response` is in terms
+    of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values.
+    """
+    v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
+    first = response.slope[:, None] * v.gap
+    if v.jump is not None:
+        first = first + response.charge[:, None] * v.jump
+    m, r, nodes, _ = v.rows.shape
+    rows = v.rows.reshape(m, r, nodes * components)
+    vectors = np.einsum("m,mr,mrn->mn", weight, first, rows).reshape(m, nodes, components)
+    if not tangent:
+        return vectors, None
+    matrix = response.slope[:, None, None] * v.gap2
+    matrix += response.curvature[:, None, None] * v.gap[:, :, None] * v.gap[:, None, :]
+    if v.jump is not None:
+        cross = v.gap[:, :, None] * v.jump[:, None, :]
+        matrix += response.mixed[:, None, None] * (cross + np.swapaxes(cross, 1, 2))
+        matrix += response.electric_curvature[:, None, None] * v.jump[:, :, None] * v.jump[:, None, :]
+        matrix += response.charge[:, None, None] * v.jump2
+    matrix *= weight[:, None, None]
+    return vectors, np.swapaxes(rows, 1, 2) @ (matrix @ rows)

@@ -1,0 +1,230 @@
+"""Laws of the interface: what a contact point answers to its gap and its potential jump.
+
+The enthalpy of a point is psi(g) - 1/2 rho s(g) j^2 per area: a penalty against penetration, adhesion in tension,
+and the equal-potential penalty rho with the sign of the dielectric term (the interface is a thin dielectric layer).
+Traction is the slope of psi: negative in compression, positive in adhesion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that it has a slope
+RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
+
+
+@dataclass
+class History:
+    """What a contact point remembers of converged steps: touched (m,) and its largest opening since (m,), um."""
+
+    touched: NDArray[np.bool_]
+    opening: Array
+
+    @classmethod
+    def virgin(cls, points: int) -> History:
+        """History of points that have never touched."""
+        return cls(np.zeros(points, bool), np.zeros(points))
+
+    def __getitem__(self, rows: NDArray) -> History:
+        return History(self.touched[rows], self.opening[rows])
+
+    def advanced(self, gap: Array) -> History:
+        """The history after a converged step that ended at this gap."""
+        touched = self.touched | (gap <= 0.0)
+        return History(touched, np.where(touched, np.maximum(self.opening, gap), 0.0))
+
+
+@dataclass(frozen=True)
+class Adhesion:
+    """Traction over opening: linear to the strength, constant to `plateau`, linear to zero at `final`; irreversible.
+
+    strength MPa, plateau and final (m,) or scalar, um. `bilinear` has no plateau (Alfano and Crisfield 2001);
+    `cutoff` is a plateau that ends in a short drop (Maugis 1992, Baney and Hui 1997).
+    """
+
+    strength: float
+    penalty: Array
+    plateau: Array
+    final: Array
+    always: bool
+
+    @classmethod
+    def bilinear(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> Adhesion:
+        """Bilinear law with the given strength (MPa) and energy (pJ/um2). ValueError if the penalty is too soft."""
+        elastic = _elastic_opening(strength, energy, penalty)
+        return cls(strength, penalty, elastic, np.full_like(elastic, 2.0 * energy / strength), always)
+
+    @classmethod
+    def cutoff(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> Adhesion:
+        """Constant strength up to a cut-off, with the given energy. ValueError if the penalty is too soft."""
+        elastic = _elastic_opening(strength, energy, penalty)
+        return cls.until(strength, energy / strength + 0.5 * elastic, penalty, always)
+
+    @classmethod
+    def until(cls, strength: float, cut: Array | float, penalty: Array, always: bool = False) -> Adhesion:
+        """Constant strength up to the opening `cut` (um), which must exceed the elastic opening."""
+        elastic = strength / penalty
+        half_drop = 0.5 * CUTOFF_DROP * (cut - elastic)
+        return cls(strength, penalty, cut - half_drop, cut + half_drop, always)
+
+    @property
+    def elastic(self) -> Array:
+        """Opening up to which the bond is elastic, um."""
+        return self.strength / self.penalty
+
+    def __getitem__(self, rows: NDArray) -> Adhesion:
+        return Adhesion(self.strength, self.penalty[rows], self.plateau[rows], self.final[rows], self.always)
+
+    def envelope(self, opening: Array) -> tuple[Array, Array, Array]:
+        """Traction, slope and work up to an opening that has never been exceeded."""
+        g0, g1, g2, s = self.elastic, self.plateau, self.final, self.strength
+        fall = np.maximum(g2 - g1, np.finfo(float).tiny)
+        branch = [opening <= g0, opening <= g1, opening <= g2]
+        traction = np.select(branch, [self.penalty * opening, s, s * (g2 - opening) / fall], 0.0)
+        slope = np.select(branch, [self.penalty, 0.0, -s / fall], 0.0)
+        to_g1 = 0.5 * s * g0 + s * (g1 - g0)
+        work = np.select(
+            branch,
+            [
+                0.5 * self.penalty * opening**2,
+                0.5 * s * g0 + s * (opening - g0),
+                to_g1 + 0.5 * (s + traction) * (opening - g1),
+            ],
+            to_g1 + 0.5 * s * (g2 - g1),
+        )
+        return traction, slope, work
+
+    @property
+    def energy(self) -> Array:
+        """Work of separation, pJ/um2."""
+        return self.envelope(self.final)[2]
+
+
+def _elastic_opening(strength: float, energy: float, penalty: Array) -> Array:
+    elastic = strength / np.asarray(penalty, float)
+    least = 0.5 * strength * elastic.max(initial=0.0)
+    if energy <= least:
+        raise ValueError(
+            f"the adhesion energy {energy:g} pJ/um2 is used up before the strength {strength:g} MPa is reached "
+            f"(strength^2 / (2 normal_penalty) = {least:g}): raise normal_penalty or the energy"
+        )
+    return elastic
+
+
+@dataclass
+class Response:
+    """Derivatives of a point's enthalpy per area, and its energies (pJ/um2).
+
+    slope = d/dg, curvature = d2/dg2; charge = d/dj, electric_curvature = d2/dj2, mixed = d2/(dg dj).
+    contact, adhesion, electric: stored; dissipated: by irreversible opening.
+    """
+
+    slope: Array
+    curvature: Array
+    charge: Array
+    electric_curvature: Array
+    mixed: Array
+    contact: Array
+    adhesion: Array
+    electric: Array
+    dissipated: Array
+
+
+@dataclass(frozen=True)
+class InterfaceLaw:
+    """Penalty (m,) MPa/um, optional adhesion, electric penalty (m,) pC/(V um2) that fades out over `fade` (m,) um."""
+
+    penalty: Array
+    adhesion: Adhesion | None = None
+    electric_penalty: Array | None = None
+    fade: Array | None = field(default=None)
+
+    def __getitem__(self, rows: NDArray) -> InterfaceLaw:
+        return InterfaceLaw(
+            self.penalty[rows],
+            self.adhesion[rows] if self.adhesion else None,
+            self.electric_penalty[rows] if self.electric_penalty is not None else None,
+            self.fade[rows] if self.fade is not None else None,
+        )
+
+    @property
+    def reach(self) -> float:
+        """Largest gap at which a point can still answer, um."""
+        reach = 0.0 if self.fade is None else float(self.fade.max(initial=0.0))
+        return max(reach, float(self.adhesion.final.max(initial=0.0)) if self.adhesion else 0.0)
+
+    def bonded(self, history: History) -> NDArray[np.bool_]:
+        """Points that stick: touched, and never opened as far as the bond's end."""
+        if self.adhesion is None:
+            return np.zeros(len(self.penalty), bool)
+        return history.touched & (history.opening < self.adhesion.final)
+
+    def status(self, gap: Array, history: History) -> NDArray[np.int8]:
+        """0 apart, 1 touching, 2 bonded in tension, 3 broken."""
+        apart = np.where(self.bonded(history), 2, 0)
+        if self.adhesion is not None:
+            apart = np.where(history.touched & (history.opening >= self.adhesion.final), 3, apart)
+        return np.where(gap <= 0.0, 1, apart).astype(np.int8)
+
+    def respond(self, gap: Array, jump: Array | None, history: History) -> Response:
+        """Response at gaps (m,) and, with an electric penalty, potential jumps (m,) in V."""
+        pressed = gap < 0.0
+        slope = np.where(pressed, self.penalty * gap, 0.0)
+        curvature = np.where(pressed, self.penalty, 0.0)
+        contact = 0.5 * slope * np.minimum(gap, 0.0)
+        zero = np.zeros_like(gap)
+        response = Response(slope, curvature, zero, zero, zero, contact, zero, zero, zero)
+        if self.adhesion is not None:
+            self._adhere(gap, history, response)
+        if self.electric_penalty is not None and jump is not None:
+            self._electrify(gap, jump, history, response)
+        return response
+
+    def _adhere(self, gap: Array, history: History, response: Response) -> None:
+        law = self.adhesion
+        loading = (gap > history.opening) | (law.always & ~history.touched)
+        furthest = np.where(loading, np.maximum(gap, 0.0), history.opening)
+        traction, tangent, work = law.envelope(furthest)
+        secant = np.where(furthest > law.elastic, traction / np.maximum(furthest, law.elastic), law.penalty)
+        pulled = (gap > 0.0) & (history.touched | law.always)
+        response.slope = response.slope + np.where(pulled, np.where(loading, traction, secant * gap), 0.0)
+        response.curvature = response.curvature + np.where(pulled, np.where(loading, tangent, secant), 0.0)
+        stored = np.where(history.touched, 0.5 * secant * np.maximum(gap, 0.0) ** 2, work)
+        damaged = np.where(history.touched, work - 0.5 * secant * furthest**2, 0.0)
+        live = history.touched | law.always
+        response.adhesion = np.where(live, stored, 0.0) - (law.energy if law.always else 0.0)
+        response.dissipated = np.where(live, damaged, 0.0)
+
+    def _electrify(self, gap: Array, jump: Array, history: History, response: Response) -> None:
+        s, s1, s2 = _fade(gap / self.fade)
+        s1, s2 = s1 / self.fade, s2 / self.fade**2
+        if self.adhesion is not None:
+            final = self.adhesion.final
+            width = (1.0 - RELEASE) * final
+            furthest = np.maximum(gap, history.opening)
+            b, b1, b2 = _fade((furthest - RELEASE * final) / width)
+            opening = history.touched & (gap > history.opening)
+            b = np.where(history.touched, b, 0.0)
+            b1, b2 = np.where(opening, b1, 0.0) / width, np.where(opening, b2, 0.0) / width**2
+            s2 = (1.0 - b) * s2 - 2.0 * s1 * b1 + (1.0 - s) * b2
+            s1 = (1.0 - b) * s1 + (1.0 - s) * b1
+            s = 1.0 - (1.0 - s) * (1.0 - b)
+        rho = self.electric_penalty
+        response.charge = -rho * s * jump
+        response.electric_curvature = -rho * s
+        response.mixed = -rho * s1 * jump
+        response.slope = response.slope - 0.5 * rho * s1 * jump**2
+        response.curvature = response.curvature - 0.5 * rho * s2 * jump**2
+        response.electric = 0.5 * rho * s * jump**2
+
+
+def _fade(x: Array) -> tuple[Array, Array, Array]:
+    """1 below 0, 0 above 1, once smooth in between; value, slope and curvature."""
+    y = np.clip(x, 0.0, 1.0)
+    inside = (x > 0.0) & (x < 1.0)
+    return 1.0 - y * y * (3.0 - 2.0 * y), -6.0 * y * (1.0 - y), np.where(inside, -6.0 + 12.0 * y, 0.0)

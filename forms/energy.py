@@ -1,0 +1,41 @@
+"""Stored energies, and the small grounding that holds a body which nothing else holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+
+from forms.piezo import Kinematics, law_matrix, strain_and_field, volume_measure
+
+
+def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:
+    """UFL functionals of the elastic energy 1/2 S.C.S and the electric energy 1/2 E.eps.E (None without potential).
+
+    Their sum is the internal energy, pJ (2D: per um of depth): the piezoelectric terms of T.S and D.E cancel.
+    """
+    s = strain_and_field(w, kinematics)
+    matrix = law_matrix(law, len(s))
+    dim = w.ufl_domain().geometric_dimension()
+    strains = dim * (dim + 1) // 2
+
+    def half_square(indices: range) -> Any:
+        return 0.5 * sum(matrix[i, j] * s[i] * s[j] for i in indices for j in indices) * volume_measure(w)
+
+    if len(s) == strains:
+        return half_square(range(strains)), None
+    return half_square(range(strains)), -half_square(range(strains, len(s)))
+
+
+def grounding_form(u: Any, v: Any, strength: Any) -> Any:
+    """Bilinear form of springs spread over the volume that hold every unknown where it was.
+
+    strength: DG0 vector of two, MPa/um2: for each displacement, and for the potential unknown (which takes the sign
+    of the dielectric term, so that the grounded body keeps one tangent of one signature).
+    """
+    dim = u.ufl_domain().geometric_dimension()
+    density = strength[0] * sum(u[i] * v[i] for i in range(dim))
+    if u.ufl_shape[0] > dim:
+        density = density - strength[1] * u[dim] * v[dim]
+    order = v.ufl_element().degree()
+    return density * ufl.dx(degree=2 * order)

@@ -1,0 +1,330 @@
+"""Linear piezoelectric materials: stiffness C, piezoelectric stress constants e, permittivity eps.
+
+Voigt order 11 22 33 23 13 12 with engineering shears; E = -grad(phi); T = C S - e^T E, D = e S + eps E
+(IEEE Std 176-1987, stress-charge form). Both follow from one enthalpy H = 1/2 s.M.s of s = (S, E) with
+
+    M = [[C, -e^T], [-e, -eps]],   T = dH/dS,   D = -dH/dE.
+
+Units: MPa, pC/um2 (= C/m2), pC/(V um) (= 1e-6 F/m).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Plane = Literal["strain", "stress"]
+
+VACUUM_PERMITTIVITY = 8.8541878128e-6  # pC/(V um), CODATA 2018
+VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # tensor indices of each Voigt entry
+IN_PLANE = (0, 1, 5, 6, 7)  # of the nine entries of (S, E): S11, S22, 2 S12, E1, E2
+OUT_OF_PLANE = (2, 3, 4)  # S33, 2 S23, 2 S13
+
+
+class Response(NamedTuple):
+    """Full state: strain (..., 6), stress (..., 6) in MPa, electric displacement (..., 3) in pC/um2."""
+
+    strain: Array
+    stress: Array
+    electric_displacement: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A linear piezoelectric (or dielectric, or elastic) material; built-in ones are poled along axis 3.
+
+    stiffness (6, 6) at constant electric field, MPa; piezo (3, 6), pC/um2; permittivity (3, 3) at constant
+    strain, pC/(V um), or None: the material carries no potential. `source` says where the numbers come from.
+    """
+
+    stiffness: Array
+    piezo: Array
+    permittivity: Array | None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "piezo", "permittivity"):
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+
+    @classmethod
+    def isotropic(
+        cls,
+        young: float,
+        poisson: float,
+        piezo: ArrayLike | None = None,
+        permittivity: ArrayLike | None = None,
+        source: str = "",
+    ) -> Material:
+        """Isotropic elasticity with any piezo (3, 6) and permittivity (a number, three or (3, 3)).
+
+        Raises ValueError for a modulus that is not positive or a ratio outside (-1, 0.5).
+        """
+        if not (np.isfinite(young) and young > 0):
+            raise ValueError(f"Young's modulus must be positive, not {young:g}")
+        if not -1 < poisson < 0.5:
+            raise ValueError(f"Poisson's ratio must lie between -1 and 0.5, not {poisson:g}")
+        shear = young / (2 * (1 + poisson))
+        stiffness = np.diag([2 * shear] * 3 + [shear] * 3)
+        stiffness[:3, :3] += young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+        return cls(
+            stiffness,
+            np.zeros((3, 6)) if piezo is None else np.asarray(piezo, float),
+            None if permittivity is None else permittivity_matrix(permittivity),
+            source,
+        )
+
+    @property
+    def electric(self) -> bool:
+        """Whether the material carries a potential."""
+        return self.permittivity is not None
+
+    def check(self) -> None:
+        """Return if the material is stable; else raise ValueError in words.
+
+        Asks for the right shapes, finite numbers, symmetric and positive definite stiffness and permittivity,
+        and a permittivity wherever there is a piezoelectric constant.
+        """
+        _check_definite("stiffness", self.stiffness, 6)
+        _check_numbers("piezo", self.piezo, (3, 6))
+        if self.permittivity is not None:
+            _check_definite("permittivity", self.permittivity, 3)
+        elif self.piezo.any():
+            raise ValueError("piezo is given but permittivity is not: a piezoelectric material needs both")
+
+    def rotated(self, poling: ArrayLike, axis1: ArrayLike | None = None) -> Material:
+        """The same material with its axis 3 along `poling` and its axis 1 along `axis1` made normal to it.
+
+        Default axis1: the global x axis, or y where x is parallel to poling. Both are 3-vectors of any
+        length. Raises ValueError if one is zero or the two are parallel. C' = K C K^T, e' = R e K^T and
+        eps' = R eps R^T with R's columns the material axes and K the Bond matrix of stresses (Auld, Acoustic
+        Fields and Waves in Solids, vol. 1 (1973), sec. 3.D).
+        """
+        rotation = material_axes(poling, axis1)
+        bond = stress_rotation(rotation)
+        permittivity = self.permittivity
+        return Material(
+            _symmetric(bond @ self.stiffness @ bond.T),
+            rotation @ self.piezo @ bond.T,
+            None if permittivity is None else _symmetric(rotation @ permittivity @ rotation.T),
+            self.source,
+        )
+
+    def law(self, dim: int, plane: Plane = "strain") -> Array:
+        """Symmetric enthalpy matrix M, H = 1/2 s.M.s in pJ/um3: (9, 9) in 3D, (5, 5) in 2D.
+
+        s = (strain, electric field), in 2D (S11, S22, 2 S12, E1, E2). plane "strain": S33 = S23 = S13 = 0;
+        "stress": T33 = T23 = T13 = 0, condensed from the coupled law; E3 = 0 in both. A material without
+        permittivity has zeros for the electric field.
+        """
+        full = np.zeros((9, 9))
+        full[:6, :6] = self.stiffness
+        full[6:, :6] = -self.piezo
+        full[:6, 6:] = -self.piezo.T
+        if self.permittivity is not None:
+            full[6:, 6:] = -self.permittivity
+        if dim == 3:
+            return full
+        if dim != 2:
+            raise ValueError(f"a law exists in 2 or 3 dimensions, not {dim}")
+        kept = full[np.ix_(IN_PLANE, IN_PLANE)]
+        if plane == "strain":
+            return kept
+        if plane != "stress":
+            raise ValueError(f'plane must be "strain" or "stress", not "{plane}"')
+        return _symmetric(kept + full[np.ix_(IN_PLANE, OUT_OF_PLANE)] @ self._condensation())
+
+    def response(
+        self, strain: ArrayLike, field: ArrayLike | None = None, dim: int = 3, plane: Plane = "strain"
+    ) -> Response:
+        """Full strain, stress and electric displacement at any number of points.
+
+        strain (..., 6) and field (..., 3) in 3D; (..., 3) and (..., 2) in 2D, in-plane. No field: zero. In 2D
+        the parts out of the plane follow from `plane` as in `law`.
+        """
+        strain = np.asarray(strain, float)
+        components = 6 if dim == 3 else 3
+        if strain.shape[-1] != components:
+            raise ValueError(f"strain in {dim}D has {components} components, not {strain.shape[-1]}")
+        field = np.zeros((*strain.shape[:-1], dim)) if field is None else np.asarray(field, float)
+        state = np.zeros((*strain.shape[:-1], 9))
+        if dim == 3:
+            state[..., :6], state[..., 6:] = strain, field
+        else:
+            in_plane = np.concatenate([strain, field], axis=-1)
+            state[..., IN_PLANE] = in_plane
+            if plane == "stress":
+                state[..., OUT_OF_PLANE] = in_plane @ self._condensation().T
+        gradient = state @ self.law(3)
+        return Response(state[..., :6], gradient[..., :6], -gradient[..., 6:])
+
+    def _condensation(self) -> Array:
+        """(3, 5): takes the in-plane state to (S33, 2 S23, 2 S13) where T33 = T23 = T13 = 0 and E3 = 0."""
+        full = self.law(3)
+        return -np.linalg.solve(full[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)], full[np.ix_(OUT_OF_PLANE, IN_PLANE)])
+
+
+def material_axes(poling: ArrayLike, axis1: ArrayLike | None = None) -> Array:
+    """Rotation (3, 3) whose columns are the material axes 1, 2, 3 = poling in global components.
+
+    Raises ValueError if a vector is zero or not finite, or if the two are parallel.
+    """
+    axis3 = _unit("poling", poling)
+    if axis1 is None:
+        along_x = abs(axis3[0]) > 1 - 1e-12
+        first = np.array([0.0, 1.0, 0.0] if along_x else [1.0, 0.0, 0.0])
+    else:
+        first = _unit("axis1", axis1)
+    first = first - (first @ axis3) * axis3
+    if np.linalg.norm(first) < 1e-8:
+        raise ValueError("axis1 is parallel to poling: it must point in another direction")
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis3, first), axis3])
+
+
+def stress_rotation(rotation: ArrayLike) -> Array:
+    """Bond matrix K (6, 6): T' = K T for the Voigt stress of R T R^T; strains take K^-T."""
+    r = np.asarray(rotation, float)
+    bond = np.empty((6, 6))
+    for row, (i, j) in enumerate(VOIGT):
+        for column, (k, m) in enumerate(VOIGT):
+            bond[row, column] = r[i, k] * r[j, m] + (r[i, m] * r[j, k] if k != m else 0.0)
+    return bond
+
+
+def piezo_matrix(constants: Mapping[str, float]) -> Array:
+    """Piezoelectric matrix (3, 6) of named constants {"e31": ..., "e15": ...}; those not named are zero.
+
+    Raises ValueError for a name that is not e11 .. e36.
+    """
+    matrix = np.zeros((3, 6))
+    for name, value in constants.items():
+        if len(name) != 3 or name[0] != "e" or name[1] not in "123" or name[2] not in "123456":
+            raise ValueError(f'"{name}" is not a piezoelectric constant: the names are e11 to e36')
+        matrix[int(name[1]) - 1, int(name[2]) - 1] = value
+    return matrix
+
+
+def permittivity_matrix(value: ArrayLike) -> Array:
+    """Permittivity (3, 3) of a number, three principal values or the matrix itself; else ValueError."""
+    array = np.asarray(value, float)
+    if array.ndim == 0:
+        return float(array) * np.eye(3)
+    if array.shape == (3,):
+        return np.diag(array)
+    if array.shape == (3, 3):
+        return array
+    raise ValueError("permittivity must be a number, three numbers or a 3x3 matrix")
+
+
+def transversely_isotropic(
+    stiffness: tuple[float, float, float, float, float],
+    piezo: tuple[float, float, float],
+    permittivity: tuple[float, float],
+    source: str,
+) -> Material:
+    """Poled ceramic (symmetry 6mm about axis 3).
+
+    stiffness (c11, c12, c13, c33, c44) in MPa with c66 = (c11 - c12)/2; piezo (e31, e33, e15) in pC/um2;
+    permittivity (eps11, eps33) at constant strain in pC/(V um).
+    """
+    c11, c12, c13, c33, c44 = stiffness
+    e31, e33, e15 = piezo
+    matrix = np.diag([c11, c11, c33, c44, c44, (c11 - c12) / 2])
+    matrix[0, 1] = matrix[1, 0] = c12
+    matrix[2, :2] = matrix[:2, 2] = c13
+    constants = piezo_matrix({"e31": e31, "e32": e31, "e33": e33, "e15": e15, "e24": e15})
+    eps11, eps33 = permittivity
+    return Material(matrix, constants, np.diag([eps11, eps11, eps33]), source)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)
+
+
+def _unit(name: str, vector: ArrayLike) -> Array:
+    array = np.asarray(vector, float)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be a vector of three numbers")
+    length = np.linalg.norm(array)
+    if length == 0:
+        raise ValueError(f"{name} must not be the zero vector")
+    return array / length
+
+
+def _check_numbers(name: str, matrix: Array, shape: tuple[int, int]) -> None:
+    if matrix.shape != shape:
+        raise ValueError(f"{name} must be a {shape[0]}x{shape[1]} matrix")
+    if not np.isfinite(matrix).all():
+        raise ValueError(f"{name} holds a number that is not finite")
+
+
+def _check_definite(name: str, matrix: Array, size: int) -> None:
+    _check_numbers(name, matrix, (size, size))
+    asymmetry = np.abs(matrix - matrix.T)
+    if asymmetry.max() > 1e-8 * np.abs(matrix).max():
+        i, j = np.unravel_index(np.argmax(asymmetry), asymmetry.shape)
+        raise ValueError(
+            f"{name} is not symmetric: entry {i + 1},{j + 1} is {matrix[i, j]:g} "
+            f"but entry {j + 1},{i + 1} is {matrix[j, i]:g}"
+        )
+    smallest = np.linalg.eigvalsh(_symmetric(matrix))[0]
+    if smallest <= 1e-12 * np.abs(matrix).max():
+        raise ValueError(f"{name} is not positive definite: its smallest eigenvalue is {smallest:g}")
+
+
+_GPA = 1e3  # in MPa
+
+BUILT_IN: dict[str, Material] = {
+    "pvdf": Material.isotropic(
+        2500.0,
+        0.3,
+        piezo_matrix({"e31": 0.0307692, "e32": -0.0057692, "e33": -0.075}),
+        12 * VACUUM_PERMITTIVITY,
+        "PVDF fibers: Maruccio and De Lorenzis, Frattura ed Integrita Strutturale 29 (2014) 49-60 "
+        "(isotropic elasticity, no shear constants, relative permittivity 12)",
+    ),
+    "pvdf_tzou": Material.isotropic(
+        2000.0,
+        0.29,
+        piezo_matrix({"e31": 0.046}),
+        0.1062e-3,
+        "PVDF bimorph: Tzou, J. Dyn. Syst. Meas. Control 111 (1989); Hwang and Park, AIAA J. 31 (1993) "
+        "930-937 (e31 alone, isotropic elasticity)",
+    ),
+    "pzt4": transversely_isotropic(
+        (139 * _GPA, 77.8 * _GPA, 74.3 * _GPA, 115 * _GPA, 25.6 * _GPA),
+        (-5.2, 15.1, 12.7),
+        (730 * VACUUM_PERMITTIVITY, 635 * VACUUM_PERMITTIVITY),
+        "PZT-4: Auld, Acoustic Fields and Waves in Solids, vol. 1 (1973), appendix 2, "
+        "after Jaffe and Berlincourt, Proc. IEEE 53 (1965) 1372-1386",
+    ),
+    "pzt5h": transversely_isotropic(
+        (126 * _GPA, 79.5 * _GPA, 84.1 * _GPA, 117 * _GPA, 23.0 * _GPA),
+        (-6.5, 23.3, 17.0),
+        (1700 * VACUUM_PERMITTIVITY, 1470 * VACUUM_PERMITTIVITY),
+        "PZT-5H: Auld, Acoustic Fields and Waves in Solids, vol. 1 (1973), appendix 2, "
+        "after Jaffe and Berlincourt, Proc. IEEE 53 (1965) 1372-1386",
+    ),
+    "batio3": transversely_isotropic(
+        (166 * _GPA, 77 * _GPA, 78 * _GPA, 162 * _GPA, 43 * _GPA),
+        (-4.4, 18.6, 11.6),
+        (11.2e-3, 12.6e-3),
+        "BaTiO3: Pan, J. Appl. Mech. 68 (2001) 608-618, table 1",
+    ),
+    "elastic": Material.isotropic(2500.0, 0.3, source="the elasticity of pvdf alone: no potential in the body"),
+    "dielectric": Material.isotropic(
+        2500.0,
+        0.3,
+        permittivity=12 * VACUUM_PERMITTIVITY,
+        source="the elasticity and permittivity of pvdf, not piezoelectric",
+    ),
+}

@@ -1,0 +1,197 @@
+"""Bulk forms of coupled piezoelectricity: one enthalpy density, its residual and tangent, and the loads.
+
+The unknown w has the components u_1 .. u_dim and, with a potential, psi = phi / potential_scale. With
+s = (strain in Voigt order, electric field) and the matrix M of `forms.materials`,
+
+    Pi(w) = int 1/2 s.M.s dV - int t.u dA + int q phi dA,      E = -grad(phi).
+
+Small kinematics: S = sym(grad u). Finite: the Green-Lagrange strain and the referential field E = -Grad(phi),
+a total Lagrangian description in which T is the second Piola-Kirchhoff stress. The material enters as numbers
+of each cell only: every scene of the same cell, order, kinematics and fields uses the same compiled forms.
+
+The derivative of Pi by psi is potential_scale times that by phi: the free charge on a boundary (-D.n dA) is
+minus the sum of the internal residual's psi entries there, divided by potential_scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import dolfinx
+import numpy as np
+import ufl
+from numpy.typing import NDArray
+
+from app import fenicsx
+
+Kinematics = Literal["small", "finite"]
+
+
+@dataclass(frozen=True)
+class Load:
+    """What acts on the facets of one tag; dolfinx Constants, so that a load step recompiles nothing.
+
+    traction (dim,) MPa: force per reference area, dead. pressure, MPa: pushes against the outer normal; dead
+    in small kinematics, follows the surface in finite. charge_density, pC/um2: free charge, per reference
+    area.
+    """
+
+    tag: int
+    traction: Any = None
+    pressure: Any = None
+    charge_density: Any = None
+
+
+def law_field(
+    mesh: Any,
+    laws: Sequence[NDArray[np.float64]],
+    cell_law: NDArray[np.int32],
+    potential_scale: float | None,
+) -> Any:
+    """Upper triangle, row by row, of each cell's enthalpy matrix as a blocked DG0 Function. Collective.
+
+    laws: matrices of `Material.law`, (5, 5) or (9, 9); cell_law: (local cells,) which of them a cell has.
+    Rows and columns of the electric field are multiplied by potential_scale (V); None: there is no potential
+    and only the elastic block is kept. 15 (2D) or 45 (3D) components; without potential 6 or 21.
+    """
+    dim = mesh.geometry.dim
+    strains = _strains(dim)
+    size = strains if potential_scale is None else strains + dim
+    scale = np.ones(size)
+    scale[strains:] = potential_scale or 1.0
+    rows, columns = np.triu_indices(size)
+    table = np.array([(scale[:, None] * law[:size, :size] * scale)[rows, columns] for law in laws])
+    field = dolfinx.fem.Function(fenicsx.piecewise_constant(mesh, rows.size))
+    cells = fenicsx.dofmap(field.function_space)[: len(cell_law), 0]
+    field.x.array.reshape(-1, rows.size)[cells] = table[cell_law]
+    field.x.scatter_forward()
+    return field
+
+
+def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
+    """UFL vector s: Voigt strain (engineering shears) and, where w has psi, -Grad(psi) = E / potential_scale.
+
+    3 + 2 entries in 2D, 6 + 3 in 3D; raises ValueError if w has neither dim nor dim + 1 components.
+    """
+    dim = w.ufl_domain().geometric_dimension()
+    if w.ufl_shape not in ((dim,), (dim + 1,)):
+        raise ValueError(f"the unknown must have {dim} or {dim + 1} components, not {w.ufl_shape}")
+    if kinematics not in ("small", "finite"):
+        raise ValueError(f'kinematics must be "small" or "finite", not "{kinematics}"')
+    gradient = ufl.grad(w)
+
+    def strain(i: int, j: int) -> Any:
+        linear = gradient[i, j] + gradient[j, i]
+        if kinematics == "finite":
+            linear = linear + sum(gradient[k, i] * gradient[k, j] for k in range(dim))
+        return linear if i != j else 0.5 * linear
+
+    pairs = ((0, 0), (1, 1), (0, 1)) if dim == 2 else ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+    entries = [strain(i, j) for i, j in pairs]
+    if w.ufl_shape == (dim + 1,):
+        entries += [-gradient[dim, j] for j in range(dim)]
+    return ufl.as_vector(entries)
+
+
+def law_matrix(law: Any, size: int) -> Any:
+    """UFL matrix M (size, size) of the cellwise `law_field`; raises ValueError if the two do not fit."""
+    if law.ufl_shape != (size * (size + 1) // 2,):
+        raise ValueError(f"a law of {law.ufl_shape[0]} entries does not fit a state of {size} components")
+    entry = {pair: law[number] for number, pair in enumerate(zip(*np.triu_indices(size), strict=True))}
+    return ufl.as_matrix([[entry[min(i, j), max(i, j)] for j in range(size)] for i in range(size)])
+
+
+def enthalpy(w: Any, law: Any, kinematics: Kinematics) -> Any:
+    """UFL density 1/2 s.M.s in pJ/um3 of w with the `law_field`; raises ValueError if the two do not fit."""
+    s = strain_and_field(w, kinematics)
+    return 0.5 * ufl.inner(s, law_matrix(law, len(s)) * s)
+
+
+def volume_measure(w: Any) -> Any:
+    """dx with just enough quadrature points for elements of w's order on a mesh of that geometry order.
+
+    Exact for the small-strain tangent on affine cells and for int grad(v) dV on curved ones, which is what
+    keeps a uniform stress in equilibrium there: degree (d - 1)(p - 1) from the cofactor of the geometry's
+    gradient and p - 1 from that of v. On tensor cells the Gauss rule of p + 1 points a direction does both.
+    """
+    domain = w.ufl_domain()
+    order = fenicsx.degree(w)
+    if domain.ufl_cell().cellname() in ("quadrilateral", "hexahedron"):
+        degree = 2 * order
+    else:
+        degree = domain.geometric_dimension() * (order - 1)
+    return ufl.dx(domain=domain, degree=degree)
+
+
+def internal_form(w: Any, law: Any, kinematics: Kinematics) -> Any:
+    """Residual F(w; v), the derivative of the enthalpy at w, v the test function of w's space.
+
+    Written as (M s).ds(v), M being symmetric: the same as what ufl.derivative makes of 1/2 s.M.s, but the C
+    code of its tangent is half as long and compiles four times as fast.
+    """
+    s = strain_and_field(w, kinematics)
+    variation = ufl.derivative(s, w, ufl.TestFunction(w.function_space))
+    return ufl.inner(law_matrix(law, len(s)) * s, variation) * volume_measure(w)
+
+
+def tangent_form(w: Any, law: Any, kinematics: Kinematics) -> Any:
+    """Symmetric bilinear form, the derivative of the residual; small kinematics: it does not depend on w."""
+    return ufl.derivative(internal_form(w, law, kinematics), w)
+
+
+def boundary_loads(
+    v: Any, w: Any, ds: Any, loads: Sequence[Load], kinematics: Kinematics, potential_scale: float | None
+) -> Any:
+    """What all loads together ADD to the residual; an empty form if there are none.
+
+    v: test function of w's space; ds: the exterior facet measure whose subdomain_data holds the loads' tags.
+    A traction adds -t.v, a pressure +p n.v (finite: +p (cof F N).v per reference area), a charge +q
+    potential_scale v_psi. In plane stress a load acts per reference thickness. Raises ValueError for a charge
+    without a potential.
+    """
+    domain = w.ufl_domain()
+    dim = domain.geometric_dimension()
+    degree = 2 * fenicsx.degree(w)
+    normal = ufl.FacetNormal(domain)
+    if kinematics == "finite":
+        normal = _cofactor(ufl.Identity(dim) + _displacement_gradient(w)) * normal
+    form = ufl.Form([])
+    for load in loads:
+        work = []
+        if load.traction is not None:
+            work += [-load.traction[i] * v[i] for i in range(dim)]
+        if load.pressure is not None:
+            work += [load.pressure * normal[i] * v[i] for i in range(dim)]
+        if load.charge_density is not None:
+            if w.ufl_shape != (dim + 1,) or potential_scale is None:
+                raise ValueError("a charge density needs a potential: no material of the model has a permittivity")
+            work.append(load.charge_density * potential_scale * v[dim])
+        if work:
+            form += sum(work) * ds(load.tag, degree=degree)
+    return form
+
+
+def load_tangent(form: Any, w: Any) -> Any | None:
+    """Derivative of `boundary_loads` at w, not symmetric; None where the loads do not depend on w."""
+    return ufl.derivative(form, w) if w in form.coefficients() else None
+
+
+def _strains(dim: int) -> int:
+    return dim * (dim + 1) // 2
+
+
+def _displacement_gradient(w: Any) -> Any:
+    dim = w.ufl_domain().geometric_dimension()
+    gradient = ufl.grad(w)
+    return ufl.as_matrix([[gradient[i, j] for j in range(dim)] for i in range(dim)])
+
+
+def _cofactor(f: Any) -> Any:
+    """det(F) F^-T as polynomials of F's entries."""
+    if f.ufl_shape == (2, 2):
+        return ufl.as_matrix([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
+    columns = [[f[i, j] for i in range(3)] for j in range(3)]
+    cross = [ufl.cross(ufl.as_vector(columns[j - 2]), ufl.as_vector(columns[j - 1])) for j in range(3)]
+    return ufl.as_matrix([[cross[j][i] for j in range(3)] for i in range(3)])

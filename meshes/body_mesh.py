@@ -1,0 +1,154 @@
+"""A mesh of bodies distributed over ranks, built or read from a file, with body numbers and facet groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from app import fenicsx
+from meshes import gmsh_model, read_out
+from meshes.base import Shape
+from meshes.gmsh_model import GEOMETRY, MeshError
+from meshes.mesh_file import MeshFile, blaming, load
+from meshes.read_out import Arrays, not_facets
+from meshes.sizes import MeshSizes
+
+Partition = Callable[[NDArray[np.float64], NDArray[np.int32], int], NDArray[np.int32]]
+
+
+@dataclass(frozen=True)
+class BodyMesh:
+    """A distributed mesh; what is said of cells and facets is said of those of this rank.
+
+    cell_body, cell_part (cells,): number of the body and of the connected part (cells that share nodes).
+    part_bodies: bodies of each part. facets: indices of the facets of each group, exterior or interior; an
+    interior one between two ranks is on both.
+    """
+
+    mesh: Any
+    bodies: tuple[str, ...]
+    cell_body: NDArray[np.int32]
+    cell_part: NDArray[np.int32]
+    part_bodies: list[list[int]]
+    facets: dict[str, NDArray[np.int32]]
+    order: int
+
+
+def create(
+    comm: MPI.Comm,
+    geometry: Shape | MeshFile,
+    sizes: MeshSizes,
+    *,
+    save: Path | None = None,
+    partition: Partition | None = None,
+) -> BodyMesh:
+    """Build or read a mesh on rank 0 and distribute it. Collective.
+
+    `save` writes it as MSH 4.1 too. `partition(centroids, bodies, ranks)` is called on rank 0 with arrays
+    (cells, dim) and (cells,) and returns the rank of each cell; without it the graph of cells is partitioned.
+    Raises MeshError on all ranks.
+    """
+    with blaming(geometry.file) if isinstance(geometry, MeshFile) else nullcontext():
+        arrays = on_root(comm, lambda: arrays_of(geometry, sizes, save))
+        return distribute(comm, arrays, partition)
+
+
+def on_root(comm: MPI.Comm, work: Callable[[], Any]) -> Any:
+    """Result of `work` on rank 0, None elsewhere. Collective.
+
+    What it raises there is raised on the other ranks as MeshError.
+    """
+    result, failure = None, None
+    try:
+        result = work() if comm.rank == 0 else None
+    except Exception as error:
+        failure = (str(error), getattr(error, "key", GEOMETRY))
+        raise
+    finally:
+        failure = comm.bcast(failure)
+    if failure is not None:
+        raise MeshError(*failure)
+    return result
+
+
+def arrays_of(geometry: Shape | MeshFile, sizes: MeshSizes, save: Path | None = None) -> Arrays:
+    """Mesh of a geometry as arrays, in this process alone. Raises MeshError."""
+    with gmsh_model.session():
+        if isinstance(geometry, MeshFile):
+            load(geometry.file)
+        else:
+            _build(geometry, sizes)
+        arrays = read_out.read(sizes.order)
+        if save is not None:
+            try:
+                gmsh_model.write(save)
+            except OSError as error:
+                raise MeshError(f"{save}: {error.strerror or error}", "out") from None
+    return arrays
+
+
+def _build(shape: Shape, sizes: MeshSizes) -> None:
+    try:
+        shape.build(sizes)
+    except Exception as error:
+        # gmsh raises Exception itself; its words may be several lines.
+        raise MeshError(f"gmsh cannot mesh it: {' '.join(str(error).split())}") from error
+
+
+def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | None = None) -> BodyMesh:
+    """Distribute a mesh given on rank 0. Collective. Raises MeshError on all ranks."""
+    head = comm.bcast(arrays.head() if comm.rank == 0 else None)
+    mine = arrays if comm.rank == 0 else head
+    dim = head.dimension
+
+    destinations = None
+    if comm.rank == 0 and partition is not None:
+        centroids = mine.x[mine.cells].mean(axis=1)
+        destinations = np.asarray(partition(centroids, mine.cell_body, comm.size), np.int32)
+    mesh = fenicsx.create_mesh(comm, mine.cells, mine.x, head.cell_type, head.order, destinations)
+
+    # Rank 0 answers each rank for the cells it has got, so that none needs room for all.
+    wanted = comm.gather(fenicsx.original_cells(mesh))
+    answers, part_bodies = None, None
+    if comm.rank == 0:
+        part, part_bodies = connected_parts(mine.cells, mine.cell_body)
+        answers = [np.stack([mine.cell_body[cells], part[cells]]) for cells in wanted]
+    cell_body, cell_part = comm.scatter(answers)
+
+    indices, values = fenicsx.entities_from_nodes(mesh, dim - 1, mine.facets, mine.facet_values)
+    owned = indices < mesh.topology.index_map(dim - 1).size_local
+    facets = {}
+    for number, name in enumerate(head.facet_groups):
+        having = [value for value, groups in enumerate(head.combinations) if number in groups]
+        of_group = np.isin(values, having)
+        facets[name] = np.sort(indices[of_group]).astype(np.int32)
+        missing = np.isin(mine.facet_values, having).sum() - (of_group & owned).sum()
+        if comm.allreduce(int(missing)) != 0:
+            raise not_facets(name)
+    return BodyMesh(mesh, head.bodies, cell_body, cell_part, comm.bcast(part_bodies), facets, head.order)
+
+
+def connected_parts(
+    cells: NDArray[np.int64], cell_body: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], list[list[int]]]:
+    """Number of the connected part of each cell, in order of first cells, and the bodies of each part."""
+    # One graph of cells and nodes, each cell linked to its nodes: its components are cells that share nodes.
+    count, nodes = cells.shape
+    cell, node = np.repeat(np.arange(count), nodes), count + cells.ravel()
+    size = int(node.max()) + 1
+    graph = coo_matrix((np.ones(len(cell), np.int8), (cell, node)), shape=(size, size))
+    _, label = connected_components(graph, directed=False)
+    _, first, part = np.unique(label[:count], return_index=True, return_inverse=True)
+    number = np.empty(len(first), np.int32)
+    number[np.argsort(first)] = np.arange(len(first))
+    part = number[part]
+    return part, [sorted(set(cell_body[part == p].tolist())) for p in range(len(first))]

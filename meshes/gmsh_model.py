@@ -1,0 +1,147 @@
+"""The current gmsh model: opened and closed cleanly, meshed, read out as arrays, written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import gmsh
+import numpy as np
+from numpy.typing import NDArray
+
+# Meshes are the same from run to run: one thread, and no settings taken over from the user's files.
+_OPTIONS = {
+    "General.Terminal": 0,
+    "General.NumThreads": 1,
+    "General.AbortOnError": 0,
+    "Mesh.Binary": 1,
+    "Mesh.MshFileVersion": 4.1,
+    "Mesh.SaveAll": 0,
+    "Mesh.SecondOrderIncomplete": 0,
+}
+
+# gmsh's number of an element type: name, order. Incomplete second order (8-node quadrilaterals) is not here.
+CELLS: dict[int, tuple[str, int]] = {
+    1: ("interval", 1),
+    2: ("triangle", 1),
+    3: ("quadrilateral", 1),
+    4: ("tetrahedron", 1),
+    5: ("hexahedron", 1),
+    8: ("interval", 2),
+    9: ("triangle", 2),
+    10: ("quadrilateral", 2),
+    11: ("tetrahedron", 2),
+    12: ("hexahedron", 2),
+}
+
+
+GEOMETRY = "geometry"
+
+
+class MeshError(ValueError):
+    """A mesh that cannot be built, read or used; `key` is the key of the scene to blame."""
+
+    def __init__(self, message: str, key: str = GEOMETRY) -> None:
+        super().__init__(message, key)
+        self.key = key
+
+    def __str__(self) -> str:
+        return self.args[0]
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Elements of one type in one entity: gmsh type, element tags (n,), node tags (n, nodes)."""
+
+    type: int
+    tags: NDArray[np.int64]
+    nodes: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Group:
+    """A physical group: its name (its tag where unnamed) and its entities."""
+
+    tag: int
+    name: str
+    entities: tuple[int, ...]
+
+
+@contextmanager
+def session(name: str = "piezomat") -> Iterator[None]:
+    """An empty gmsh model, silent, that is gone again afterwards, also after an error.
+
+    A gmsh that the caller has opened stays open with the caller's model current and the caller's options set.
+    """
+    opened = not gmsh.isInitialized()
+    if opened:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    before = "" if opened else gmsh.model.getCurrent()
+    options = {option: gmsh.option.getNumber(option) for option in _OPTIONS}
+    for option, value in _OPTIONS.items():
+        gmsh.option.setNumber(option, value)
+    gmsh.model.add(name)
+    try:
+        yield
+    finally:
+        if opened:
+            gmsh.finalize()
+        else:
+            gmsh.model.remove()
+            gmsh.model.setCurrent(before)
+            for option, value in options.items():
+                gmsh.option.setNumber(option, value)
+
+
+def add_groups(dim: int, groups: dict[str, list[int]]) -> None:
+    """Name groups of entities of one dimension."""
+    for name, tags in groups.items():
+        gmsh.model.addPhysicalGroup(dim, tags, name=name)
+
+
+def groups(dim: int) -> list[Group]:
+    """Physical groups of a dimension in the order of their tags."""
+    found = []
+    for _, tag in sorted(gmsh.model.getPhysicalGroups(dim)):
+        name = gmsh.model.getPhysicalName(dim, tag) or str(tag)
+        entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
+        found.append(Group(int(tag), name, tuple(int(e) for e in entities)))
+    return found
+
+
+def elements(dim: int, entity: int) -> list[Elements]:
+    """Elements of an entity, one item a type."""
+    found = []
+    for kind, tags, nodes in zip(*gmsh.model.mesh.getElements(dim, entity), strict=True):
+        shape = (len(tags), -1)
+        found.append(Elements(int(kind), tags.astype(np.int64), nodes.astype(np.int64).reshape(shape)))
+    return found
+
+
+def nodes() -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Tags (n,) and coordinates (n, 3) of all nodes."""
+    tags, x, _ = gmsh.model.mesh.getNodes()
+    return tags.astype(np.int64), x.reshape(-1, 3)
+
+
+def type_name(kind: int) -> str:
+    """gmsh's words for an element type, such as "Hexahedron 20"."""
+    return gmsh.model.mesh.getElementProperties(kind)[0]
+
+
+def write(path: Path | str) -> None:
+    """Write the current model as binary MSH 4.1; the file appears complete or not at all. Raises OSError."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.msh")
+    temporary.touch()  # gmsh would not say why it cannot
+    try:
+        gmsh.write(str(temporary))
+        temporary.replace(path)
+    except Exception as error:
+        # gmsh raises Exception itself
+        raise error if isinstance(error, OSError) else OSError(str(error)) from None
+    finally:
+        temporary.unlink(missing_ok=True)

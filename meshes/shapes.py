@@ -1,0 +1,29 @@
+"""Every shape that can be built, as one type chosen by its key `shape`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from meshes.base import Shape
+from meshes.blocks import Cantilever, StackedBlocks
+from meshes.fibers import CrossedFibers, FacingHalves, FiberOnBlock, ParallelFibers
+from meshes.sizes import MeshSizes
+
+Shapes = Annotated[
+    FacingHalves | CrossedFibers | ParallelFibers | FiberOnBlock | StackedBlocks | Cantilever,
+    Field(discriminator="shape"),
+]
+
+__all__ = [
+    "Cantilever",
+    "CrossedFibers",
+    "FacingHalves",
+    "FiberOnBlock",
+    "MeshSizes",
+    "ParallelFibers",
+    "Shape",
+    "Shapes",
+    "StackedBlocks",
+]
