@@ -105,13 +105,13 @@ def entities_from_nodes(
 def dofmap(space: Any) -> NDArray[np.int32]:
     """Local block numbers of the nodes of each local cell, (cells, nodes)."""
     adjacency = space.dofmap.list
-    return adjacency.array.reshape(adjacency.num_nodes, -1)
+    return adjacency.array.reshape(adjacency.num_nodes, space.dofmap.dof_layout.num_dofs)
 
 
 def geometry_dofmap(mesh: Any) -> NDArray[np.int32]:
     """Local geometry nodes of each local cell, (cells, nodes)."""
     adjacency = mesh.geometry.dofmap
-    return adjacency.array.reshape(adjacency.num_nodes, -1)
+    return adjacency.array.reshape(adjacency.num_nodes, nodes_per_cell(mesh))
 
 
 def node_ids(mesh: Any) -> NDArray[np.int64]:

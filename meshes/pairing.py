@@ -97,8 +97,9 @@ def closest_facets(
     """The facet (m,) that each point meets, -1 for none, and where (m, t).
 
     The nearest of those that face the point's own surface, by the distance to the facet itself (not its extension);
-    a point behind them must be inside the body. points (m, d) with normals (m, d), facets (f, n, d). Two facets equally near are told apart by their key, so that
-    the answer does not depend on their order. A point beyond the end of the surface meets nothing.
+    a point behind them must be inside the body. points (m, d) with normals (m, d), facets (f, n, d). Two facets
+    equally near are told apart by their key, so that the answer does not depend on their order. A point beyond the
+    end of the surface meets nothing.
     """
     found = np.full(len(points), -1)
     where = np.zeros((len(points), kind.dim))
@@ -112,7 +113,7 @@ def closest_facets(
     facing = np.einsum("md,md->m", p.normal, normals[row]) < 0.0
     # A point behind a facet is inside the body only if the nearest facet of all says so too: the far side of a body
     # faces the far side of the other.
-    closest = np.lexsort((-facing, distance, row))
+    closest = np.lexsort((~facing, distance, row))
     rows, first = np.unique(row[closest], return_index=True)
     outside = np.zeros(len(points), bool)
     outside[rows] = (p.gap > END_TOLERANCE * size)[closest[first]]

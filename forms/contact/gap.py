@@ -137,7 +137,7 @@ def variations(
     slave_shape (m, n_s): shape functions of the slave facet at its points. components: unknowns a node, the
     displacements first and then, if `potentials` is given, the potential. Without `second`, first variations only.
     """
-    p, t, d = projection, kind.dim, projection.normal.shape[1]
+    p, t = projection, kind.dim
     axes = range(t)
     none = np.zeros_like(slave_shape)
     both = np.concatenate([slave_shape, -kind.shape(p.xi)], axis=1)  # value at the slave minus value at the master
