@@ -30,7 +30,9 @@ class ContactPass:
     """One pass of a pair: points of the slave surface, each against the master surface.
 
     `share` is the pass's share of the contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the
-    points near the master, `facet` and `xi` their partners in `visible` and where; the last evaluation is kept.
+    points near the master, `facet` and `xi` their partners in `visible` and where; the last evaluation is kept, with
+    `force` (d,) on this rank's slave facets. size (m,): size of each point's slave facet, um. depth: a point further
+    inside a body than this (um) has come from its far side and meets nothing.
     """
 
     pair: int
@@ -41,6 +43,7 @@ class ContactPass:
     share: float
     first: bool
     size: Array
+    depth: float
     history: History = field(init=False)
     visible: VisibleFacets = field(init=False)
     rows: NDArray[np.int64] = field(init=False)
@@ -280,6 +283,7 @@ class Contact:
             p.visible.orientation,
             p.visible.key,
             2.0 * self.margin,
+            p.depth,
         )
 
     def _scatter(self, state: PETSc.Vec) -> None:

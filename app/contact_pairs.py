@@ -98,7 +98,7 @@ def _pass(model: Model, number: int, slave: Surface, master: Surface, first: boo
             electric = keys.electric_penalty_factor * permittivity / size
         fade = FADE * size if keys.electric_range is None else np.full(len(size), keys.electric_range)
     law = InterfaceLaw(penalty, _adhesion(model, penalty), electric, fade)
-    return ContactPass(number, slave, master, points, law, 1.0 / keys.passes, first, size)
+    return ContactPass(number, slave, master, points, law, 1.0 / keys.passes, first, size, _depth(model, slave, master))
 
 
 def _adhesion(model: Model, penalty: Array) -> Adhesion | None:
@@ -131,6 +131,13 @@ def _facet_sizes(group: Surface) -> Array:
     if group.kind.dim == 1:
         return area
     return np.sqrt(2.0 * area if group.kind.simplex else area)
+
+
+def _depth(model: Model, *surfaces: Surface) -> float:
+    """Half the least thickness of the parts that surfaces belong to, um."""
+    here = {int(part) for group in surfaces for part in model.bodies.cell_part[group.cells]}
+    parts = set().union(*model.comm.allgather(here))
+    return 0.5 * float(model.part_thickness[sorted(parts)].min())
 
 
 def _bodies_of(model: Model, group: Surface) -> set[int]:

@@ -25,8 +25,7 @@ def columns(model: Model, pairs: list[str]) -> list[str]:
     """Names of the history's columns, in order."""
     names = ["step", "stage", *(f"factor:{name}" for name in model.scene.load.factors)]
     axes = AXES[: model.dim]
-    for condition in model.conditions:
-        on = condition.boundary.on
+    for on in model.groups:
         names += [f"force_{axis}@{on}" for axis in axes]
         if model.electric:
             names += [f"charge@{on}", f"mean_potential@{on}"]
@@ -78,12 +77,11 @@ def row(
     values: dict[str, Any] = {"step": step.number, "stage": step.stage}
     values |= {f"factor:{name}": value for name, value in step.after.items()}
     axes = AXES[: model.dim]
-    for condition in model.conditions:
-        on = condition.boundary.on
-        force, charge = reaction(problem, condition, step.after)
+    for on, conditions in model.groups.items():
+        force, charge = reaction(problem, conditions, step.after)
         values |= {f"force_{axis}@{on}": float(f) for axis, f in zip(axes, force, strict=True)}
         if model.electric:
-            values |= {f"charge@{on}": charge, f"mean_potential@{on}": model.mean_potential(condition)}
+            values |= {f"charge@{on}": charge, f"mean_potential@{on}": model.mean_potential(conditions[0])}
     energies = problem.energies()
     contact = {"contact": 0.0, "adhesion": 0.0, "electric": 0.0, "dissipated": 0.0}
     if problem.contact is not None:
@@ -97,15 +95,16 @@ def row(
     return values
 
 
-def reaction(problem: Problem, condition: Condition, factors: dict[str, float]) -> tuple[Array, float]:
-    """Force (d,) that the surroundings exert on the model at a boundary, uN, and the free charge on it, pC."""
+def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, float]) -> tuple[Array, float]:
+    """Force (d,) that the surroundings exert on the model at a facet group, uN, and the free charge on it, pC."""
     model = problem.model
     total = np.zeros(model.dim + 1)
-    for component, unknowns in condition.fixed.items():
-        total[component] = problem.full.array_r[unknowns].sum()
+    for condition in conditions:
+        for component, unknowns in condition.fixed.items():
+            total[component] += problem.full.array_r[unknowns].sum()
     total = reductions.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
-    applied = model.applied(condition, factors)
+    applied = sum(model.applied(condition, factors) for condition in conditions)
     return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
 
 

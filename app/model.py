@@ -79,6 +79,9 @@ class Model:
         self.owned = self._index_map.size_local
         self._find_parts()
         self.conditions = self._find_conditions()
+        self.groups: dict[str, list[Condition]] = {}
+        for condition in self.conditions:
+            self.groups.setdefault(condition.boundary.on, []).append(condition)
         self._find_loads()
         self.floating = self._find_floating()
 
@@ -201,17 +204,18 @@ class Model:
         return float(total[0]), total[1:], nodes, share.weight
 
     def _find_loads(self) -> None:
-        """Constants and facet tags of the loads; a facet belongs to the boundary that is listed first."""
+        """Constants and facet tags of the loads; a facet belongs to the group that is listed first."""
         exterior = fenicsx.exterior_facets(self.mesh)
         tags = np.zeros(exterior.max(initial=-1) + 1, np.int32)
-        for number, condition in reversed(list(enumerate(self.conditions, start=1))):
-            tags[np.intersect1d(condition.facets, exterior)] = number
+        numbers = {name: number for number, name in enumerate(self.groups, start=1)}
+        for name, conditions in reversed(self.groups.items()):
+            tags[np.intersect1d(conditions[0].facets, exterior)] = numbers[name]
         facets = np.flatnonzero(tags).astype(np.int32)
         self._facet_tags = dolfinx.mesh.meshtags(self.mesh, self.dim - 1, facets, tags[facets])
         self._load_measure = ufl.Measure("ds", domain=self.mesh, subdomain_data=self._facet_tags)
         self._load_constants: list[tuple[Any, Any, Boundary]] = []
         self._loads = []
-        for number, condition in enumerate(self.conditions, start=1):
+        for condition in self.conditions:
             b = condition.boundary
             given = {
                 name: getattr(b, name)
@@ -221,7 +225,7 @@ class Model:
             if given:
                 constants = {name: dolfinx.fem.Constant(self.mesh, np.asarray(v, float)) for name, v in given.items()}
                 self._load_constants += [(constants[name], given[name], b) for name in given]
-                self._loads.append(Load(number, **constants))
+                self._loads.append(Load(numbers[b.on], **constants))
 
     def _find_floating(self) -> NDArray[np.bool_]:
         """(parts, 2): whether nothing but contact holds a part, mechanically and electrically."""
@@ -231,8 +235,11 @@ class Model:
         count = self._sum_by_part(part, np.ones((owned, 1)))
         middle = self._sum_by_part(part, self.coordinates[:owned]) / count
         local = self.coordinates[:owned] - middle[part]
-        spread = np.sqrt(self._sum_by_part(part, (local**2).sum(axis=1, keepdims=True)) / count)
-        local /= spread[part]
+        second = np.einsum("ni,nj->nij", local, local).reshape(owned, -1)
+        moments = np.linalg.eigvalsh((self._sum_by_part(part, second) / count).reshape(parts, d, d))
+        self.part_size = np.sqrt(moments.sum(axis=1))
+        self.part_thickness = np.sqrt(12.0 * moments[:, 0])  # of a plate or block with that second moment
+        local /= self.part_size[part, None]
         modes = rigid_modes(local)
         held = np.zeros((owned * self.block,), bool)
         held[self.fixed] = True
@@ -248,7 +255,6 @@ class Model:
             grounded = self._sum_by_part(part, (held[:, d] & inside)[:, None].astype(float))[:, 0] > 0
             charged = self._sum_by_part(part, inside[:, None].astype(float))[:, 0] > 0
             floating[:, 1] = charged & ~grounded
-        self.part_size = spread[:, 0]
         return floating
 
     def _sum_by_part(self, part: NDArray[np.int64], values: Array) -> Array:

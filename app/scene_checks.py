@@ -10,6 +10,7 @@ from meshes.mesh_file import MeshFile
 
 if TYPE_CHECKING:
     from app.scene import Scene
+    from app.scene_sections import Boundary
 
 OVERLAP = 0.1  # of the size of the smallest body, at the start
 
@@ -65,16 +66,12 @@ def orientations(scene: Scene) -> None:
 
 
 def boundaries(scene: Scene) -> None:
-    """Rows are on facet groups, one a group, with a component a dimension and a factor that exists."""
-    seen: dict[str, int] = {}
+    """Rows are on facet groups, with a component a dimension and a factor that exists; no two give the same thing."""
+    given: dict[tuple[str, str], int] = {}
     for index, row in enumerate(scene.boundaries):
         key = f"boundaries[{index}]"
         if row.on not in scene.facet_groups:
             raise unknown_name(f"{key}.on", row.on, "a facet group of the geometry", scene.facet_groups)
-        if row.on in seen:
-            allowed = f'one row a facet group: "{row.on}" is boundaries[{seen[row.on]}] already'
-            raise SceneError(f"{key}.on", f'"{row.on}" again', allowed)
-        seen[row.on] = index
         for name in ("displacement", "traction"):
             vector = getattr(row, name)
             if vector is not None and len(vector) != scene.dimension:
@@ -84,8 +81,20 @@ def boundaries(scene: Scene) -> None:
             if getattr(row, name) is not None and not scene.electric:
                 allowed = "nothing, unless the material of a body has a permittivity"
                 raise SceneError(f"{key}.{name}", getattr(row, name), allowed)
+        for what in _prescribed(row):
+            if (row.on, what) in given:
+                first = given[row.on, what]
+                allowed = f'what boundaries[{first}] does not give on "{row.on}" already'
+                raise SceneError(f"{key}.{what.partition(' ')[0]}", f"the {what} again", allowed)
+            given[row.on, what] = index
         if row.follows is not None and row.follows not in scene.load.factors:
             raise unknown_name(f"{key}.follows", row.follows, "a factor of load.factors", list(scene.load.factors))
+
+
+def _prescribed(row: Boundary) -> list[str]:
+    """What a row fixes, in words that start with the key."""
+    components = [f"displacement {'xyz'[i]}" for i, value in enumerate(row.displacement or []) if value is not None]
+    return components + (["potential"] if row.potential is not None else [])
 
 
 def contact(scene: Scene) -> None:

@@ -224,9 +224,9 @@ class Adhesion(Keys):
         return self
 
 
-def _factor(penalty: str) -> Any:
-    """Default of a penalty's factor: 100 unless the penalty itself is given."""
-    return lambda given: 100.0 if given.get(penalty) is None else None
+def _factor(penalty: str, default: float) -> Any:
+    """Default of a penalty's factor, unless the penalty itself is given."""
+    return lambda given: default if given.get(penalty) is None else None
 
 
 class Contact(Keys):
@@ -240,13 +240,13 @@ class Contact(Keys):
     passes: OneOrTwo = Field(2, description="2: both ways, half each")
     normal_penalty: Positive | None = Field(None, description="MPa/um per area")
     normal_penalty_factor: Positive | None = Field(
-        default_factory=_factor("normal_penalty"),
+        default_factory=_factor("normal_penalty", 100.0),
         description="times stiffness / facet size; default 100 without normal_penalty",
     )
     electric_penalty: Positive | None = Field(None, description="pC/(V um2)")
     electric_penalty_factor: Positive | None = Field(
-        default_factory=_factor("electric_penalty"),
-        description="times permittivity / facet size; default 100 without electric_penalty",
+        default_factory=_factor("electric_penalty", 10.0),
+        description="times permittivity / facet size; default 10 without electric_penalty",
     )
     nodal_weight: Literal["area", "unit"] | None = Field(
         default_factory=lambda given: "area" if given.get("method") == "node" else None,

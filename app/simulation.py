@@ -332,7 +332,7 @@ def _check_overlap(problem: Problem) -> None:
     contact = problem.contact
     if contact is None:
         return
-    size = 2.0 * float(problem.model.part_size.min())
+    size = float(problem.model.part_thickness.min())
     problem.begin_step(max(contact.least_margin(), size))
     with problem.timer("contact"):
         contact.evaluate(problem.state, tangent=False)

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 BOX_FACETS = 64  # facets in a box of the coarse search
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
+FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other
 TIE = 1e-9  # facets equally near within this share of their size are told apart by their key
 
 
@@ -93,13 +94,14 @@ def closest_facets(
     orientation: Array,
     key: NDArray[np.int64],
     margin: float,
+    depth: float = np.inf,
 ) -> tuple[NDArray[np.int64], Array]:
     """The facet (m,) that each point meets, -1 for none, and where (m, t).
 
     The nearest of those that face the point's own surface, by the distance to the facet itself (not its extension);
     a point behind them must be inside the body. points (m, d) with normals (m, d), facets (f, n, d). Two facets
     equally near are told apart by their key, so that the answer does not depend on their order. A point beyond the
-    end of the surface meets nothing.
+    end of the surface meets nothing, nor does one deeper than `depth` (um): it would be nearer to the far side.
     """
     found = np.full(len(points), -1)
     where = np.zeros((len(points), kind.dim))
@@ -110,14 +112,14 @@ def closest_facets(
     nearest = np.einsum("mk,mkd->md", kind.shape(kind.clamp(p.xi)), p.nodes)
     distance = np.linalg.norm(points[row] - nearest, axis=1)
     size = np.linalg.norm(np.ptp(p.nodes, axis=1), axis=1)
-    facing = np.einsum("md,md->m", p.normal, normals[row]) < 0.0
+    facing = np.einsum("md,md->m", p.normal, normals[row]) < FACING
     # A point behind a facet is inside the body only if the nearest facet of all says so too: the far side of a body
     # faces the far side of the other.
     closest = np.lexsort((~facing, distance, row))
     rows, first = np.unique(row[closest], return_index=True)
     outside = np.zeros(len(points), bool)
     outside[rows] = (p.gap > END_TOLERANCE * size)[closest[first]]
-    facing &= (p.gap > 0.0) | ~outside[row]
+    facing &= (p.gap > 0.0) | (~outside[row] & (p.gap > -depth))
     row, facet, xi, distance, size = (values[facing] for values in (row, facet, p.xi, distance, size))
     if not len(row):
         return found, where
@@ -144,7 +146,7 @@ def brute_force_facets(
     p = project(kind, points[row], facets[facet], orientation[facet])
     nearest = np.einsum("mk,mkd->md", kind.shape(kind.clamp(p.xi)), p.nodes)
     distance = np.linalg.norm(points[row] - nearest, axis=1).reshape(m, f)
-    facing = (np.einsum("md,md->m", p.normal, normals[row]) < 0.0).reshape(m, f)
+    facing = (np.einsum("md,md->m", p.normal, normals[row]) < FACING).reshape(m, f)
     gap = p.gap.reshape(m, f)
     overshoot = kind.overshoot(p.xi).reshape(m, f)
     size = np.linalg.norm(np.ptp(facets, axis=1), axis=1)

@@ -192,7 +192,7 @@ WRONG = {
     "unknown body": Wrong('lower = "soft"', 'lowr = "soft"', "bodies.lowr", '"lower"'),
     "body without material": Wrong('lower = "soft"', "", "bodies.lower", "nothing"),
     "unknown group": Wrong('on = "bottom"', 'on = "botom"', "boundaries[0].on", '"bottom"'),
-    "group twice": Wrong('on = "top"', 'on = "bottom"', "boundaries[1].on", "boundaries[0]"),
+    "group twice": Wrong('on = "top"', 'on = "bottom"', "boundaries[1].displacement", "boundaries[0]"),
     "no condition": Wrong("displacement = [0, 0]\npotential = 0", "", "boundaries[0]", "displacement"),
     "too many components": Wrong("= [0, 0]", "= [0, 0, 0]", "boundaries[0].displacement", "2 components"),
     "component": Wrong('["free", -0.01]', '["fre", -0.01]', "boundaries[1].displacement[0]", '"free"'),

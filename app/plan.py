@@ -1,0 +1,143 @@
+"""What a scene would model and solve, and why, in words: `piezomat plan`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from app import fenicsx
+from app.contact import Contact
+from app.model import Model
+from app.solver import DIRECT_LIMIT_3D, is_direct
+
+AXES = "xyz"
+
+
+def plan_text(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, str]]) -> str:
+    """The plan as lines of `what: choice (why)`. Collective; the same text on all ranks."""
+    lines = [
+        ("scene", model.scene.title),
+        ("mesh", _mesh(model)),
+        ("unknowns", _unknowns(model)),
+        ("material law", _law(model)),
+        ("held", _held(model)),
+        ("contact", _contact(model, contact, pairs)),
+        ("adhesion", _adhesion(model)),
+        ("load", _load(model)),
+        ("solution", _solution(model, contact)),
+        ("linear solver", _linear_solver(model)),
+        ("memory", f"about {_memory_mb(model):.0f} MB over all ranks"),
+    ]
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+
+
+def _mesh(model: Model) -> str:
+    topology = model.mesh.topology
+    cells = topology.index_map(model.dim).size_global
+    name = fenicsx.cell_name(model.mesh)
+    bodies = model.bodies.bodies
+    parts = len(model.bodies.part_bodies)
+    text = f"{cells} cells ({name}, order {model.bodies.order}), {len(bodies)} bodies: {', '.join(bodies)}"
+    return text if parts == len(bodies) else f"{text}; {parts} connected parts"
+
+
+def _unknowns(model: Model) -> str:
+    displacements = ", ".join(f"u_{axis}" for axis in AXES[: model.dim])
+    if model.electric:
+        without = [n for n, m in zip(model.bodies.bodies, model.materials, strict=True) if m.permittivity is None]
+        note = f"; no potential in {', '.join(without)} (no permittivity)" if without else ""
+        return f"{model.unknowns}: {displacements} and the potential at each node{note}"
+    return f"{model.unknowns}: {displacements} at each node; no potential, since no material has a permittivity"
+
+
+def _law(model: Model) -> str:
+    kinds = []
+    if any(m.piezo.any() for m in model.materials):
+        kinds.append("piezoelectric")
+    elif model.electric:
+        kinds.append("elastic and dielectric, not coupled")
+    else:
+        kinds.append("elastic")
+    if model.dim == 2:
+        kinds.append(f"plane {model.scene.model.plane}")
+    kinds.append(f"{model.scene.model.kinematics} kinematics")
+    return ", ".join(kinds)
+
+
+def _held(model: Model) -> str:
+    notes = []
+    for part, (free, charged) in enumerate(model.floating):
+        names = "+".join(model.bodies.bodies[i] for i in model.bodies.part_bodies[part])
+        if free:
+            notes.append(f"{names} is held by contact at most and gets weak springs to where it was")
+        if charged:
+            notes.append(f"{names} has no potential given and gets a weak link to the potential it had")
+    return "; ".join(notes) or "every part by its boundaries"
+
+
+def _contact(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, str]]) -> str:
+    keys = model.scene.contact
+    if keys is None or contact is None:
+        return "none, since the scene has no [contact]"
+    points = model.comm.allreduce(sum(len(p.points.weight) for p in contact.passes))
+    where = {"node": "at the slave nodes", "point": "at quadrature points of the slave facets"}[keys.method]
+    passes = "both ways, half each" if keys.passes == 2 else "slave to master"
+    both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
+    names = ", ".join("-".join(pair) for pair in pairs)
+    return f"{len(pairs)} pairs ({names}), {where}, {passes}, {points} points, penalties for {both}"
+
+
+def _adhesion(model: Model) -> str:
+    keys = model.scene.contact.adhesion if model.scene.contact is not None else None
+    if keys is None:
+        return "none, so no history is kept"
+    start = "once pressed together" if keys.starts == "touch" else "within its range from the start"
+    return f"{keys.law} law, strength {keys.strength:g} MPa, {start}"
+
+
+def _load(model: Model) -> str:
+    load = model.scene.load
+    stages = f"{sum(load.steps)} steps in {len(load.steps)} stages" if len(load.steps) > 1 else f"{load.steps[0]} steps"
+    return f"{stages}, factors: {', '.join(load.factors) or 'none'}"
+
+
+def _solution(model: Model, contact: Contact | None) -> str:
+    reasons = [
+        reason
+        for reason, holds in (
+            ("contact", contact is not None),
+            ("finite kinematics", model.scene.model.kinematics == "finite"),
+        )
+        if holds
+    ]
+    if not reasons:
+        return "one linear solve a step, since nothing is nonlinear"
+    text = f"Newton's method ({' and '.join(reasons)})"
+    if model.scene.model.kinematics == "small":
+        text += "; the bulk's matrix is assembled once"
+    return text
+
+
+def _linear_solver(model: Model) -> str:
+    keys = model.scene.solver
+    direct = is_direct(model.dim, model.unknowns, keys)
+    name = "direct (MUMPS)" if direct else "FGMRES, displacement and potential split, algebraic multigrid on each"
+    if not direct and not model.electric:
+        name = "FGMRES with algebraic multigrid that knows rigid bodies"
+    if keys.kind != "auto":
+        return f"{name}, as the scene asks"
+    if model.dim == 2:
+        return f"{name}, since the model is two-dimensional"
+    relation = "at most" if direct else "more than"
+    return f"{name}, since the model has {relation} {DIRECT_LIMIT_3D} unknowns in three dimensions"
+
+
+def _memory_mb(model: Model) -> float:
+    """Base of a rank, four copies of the matrix, and the factors as George and Liu's estimates of fill grow."""
+    n = model.unknowns
+    neighbours = {2: (7, 20), 3: (15, 60)}[model.dim][model.bodies.order - 1]
+    matrix = 4 * 12 * n * neighbours * model.block
+    factors = 0.0
+    if is_direct(model.dim, n, model.scene.solver):
+        factors = 8 * (6.0 * n * model.block * max(n, 2) ** 0.15 if model.dim == 2 else 16.0 * n ** (4 / 3))
+    return 170 * model.comm.size + (matrix + factors) / 1e6
