@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import os
 import signal
 import sys
@@ -30,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Exit status of the command line `argv` (default: that of the process). Collective over all ranks."""
     comm = MPI.COMM_WORLD
     options: Any = None
+    # What a run logs is in its log.txt; the terminal gets progress and the last word.
+    logging.getLogger("piezomat").propagate = False
     try:
         options = on_root(comm, lambda: _parse(argv))
         return options if isinstance(options, int) else _COMMANDS[options.command](options, comm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +23,8 @@ PREFIX = "piezomat_"
 # 2.8 s at 50,000 unknowns and 74 s at 251,000, multigrid 6.5 s there).
 DIRECT_LIMIT_3D = 60_000
 FIELD_FLOOR = 1e-3  # a field's residual is measured against at least this share of the other field's forces
+SLOPE_REDUCTION = 0.5  # share of the first slope at which a line search is content
+LINE_SEARCHES = 8
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
 
 
@@ -56,9 +59,12 @@ class Newton:
         self._residual = problem.state.duplicate()
         self._right = problem.state.duplicate()
         self._change = problem.state.duplicate()
+        self._trial = problem.state.duplicate()
+        self._trial_is_next = False
         self._reference = np.zeros(1 + problem.model.electric)
         self._kept: list[PETSc.Mat] = []
         self._repair = False
+        self._linear_solve = ExitStack()
         self._set_options()
         self.snes = PETSc.SNES().create(self.comm)
         self.snes.setOptionsPrefix(PREFIX)
@@ -66,8 +72,11 @@ class Newton:
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._evaluate, self._residual)
         self.snes.setConvergenceTest(self._converged)
+        if problem.contact is not None:
+            self.snes.setLineSearchPreCheck(self._shorten)
+        self._rigid = None if self.direct else _near_nullspace(problem.model, self.comm)
+        self._split_fields()
         self.snes.setFromOptions()
-        self._fields_set = False
 
     def solve(self, margin: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
@@ -84,7 +93,8 @@ class Newton:
         for _ in range(REPAIRINGS):
             self._repair = False
             self.snes.setJacobian(self._tangent, self._kept[-1])
-            self.snes.solve(None, self.problem.state)
+            with self._linear_solve:
+                self.snes.solve(None, self.problem.state)
             report.iterations += self.snes.getIterationNumber()
             report.krylov += self.snes.getLinearSolveIterations()
             if not self._repair:
@@ -121,7 +131,6 @@ class Newton:
         self._right.array[fixed] = change.array_r[fixed]
         ksp = self.snes.getKSP()
         ksp.setOperators(matrix)
-        self._prepare_fields(matrix)
         with problem.timer("linear_solve"):
             ksp.solve(self._right, self._change)
         self._check_ksp(ksp)
@@ -135,10 +144,55 @@ class Newton:
         if fresh:
             # SNES still holds the matrix of the old pattern while it asks for the new one.
             self._kept = [*self._kept[-1:], matrix]
+            if self._rigid is not None and not self.problem.model.electric:
+                matrix.setNearNullSpace(self._rigid)
         return matrix
 
     def _evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        if self._trial_is_next:
+            self._trial.copy(result)
+            self._trial_is_next = False
+            return
         self.problem.residual(x, result)
+
+    def _shorten(self, x: PETSc.Vec, step: PETSc.Vec) -> None:
+        """Line search of SNES's step (x becomes x - step): follow the enthalpy down to where it turns up again.
+
+        Points that come into contact make the enthalpy much steeper than the tangent knew. It is convex in the
+        displacements where adhesion does not soften, so the place where its slope along the step vanishes is found by
+        safeguarded secants on the displacements' part of residual . step; a step that ends before it is left alone.
+        """
+        self._linear_solve.close()
+        slope_here = -self._slope(self._residual, step)
+        self._try(x, step, 1.0)
+        slope = -self._slope(self._trial, step)
+        if slope_here >= 0.0 or not slope > SLOPE_REDUCTION * -slope_here:
+            return
+        low, high = (0.0, slope_here), (1.0, slope)
+        for _ in range(LINE_SEARCHES):
+            # Illinois variant of the false position: the slope is monotonic but has kinks.
+            length = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
+            length = min(max(length, low[0] + 0.1 * (high[0] - low[0])), high[0] - 0.1 * (high[0] - low[0]))
+            self._try(x, step, length)
+            slope = -self._slope(self._trial, step)
+            if abs(slope) <= SLOPE_REDUCTION * -slope_here:
+                break
+            if slope > 0.0:
+                high, low = (length, slope), (low[0], 0.5 * low[1])
+            else:
+                low, high = (length, slope), (high[0], 0.5 * high[1])
+        step.scale(length)
+
+    def _try(self, x: PETSc.Vec, step: PETSc.Vec, length: float) -> None:
+        """Residual at x - length * step, which SNES will ask for next if it takes that step."""
+        step.copy(self._change)
+        self._change.aypx(-length, x)
+        self.problem.residual(self._change, self._trial)
+        self._trial_is_next = True
+
+    def _slope(self, residual: PETSc.Vec, step: PETSc.Vec) -> float:
+        d = self.problem.displacements
+        return self.comm.allreduce(float(np.vdot(d(residual), d(step))), op=MPI.SUM)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
@@ -146,6 +200,7 @@ class Newton:
         matrix = self._new_tangent(x)
         if matrix.handle != a.handle:
             snes.setJacobian(self._tangent, matrix)
+        self._linear_solve.enter_context(self.problem.timer("linear_solve"))
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """Each field's residual against the forces of that field; a NaN, or a pairing outgrown, ends the solve."""
@@ -217,37 +272,35 @@ class Newton:
 
     def _multigrid(self) -> dict[str, Any]:
         """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""
-        amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02, "mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "sor"}
+        # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
+        amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02, "mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
         if not self.problem.model.electric:
             return amg
-        d = self.problem.model.dim
         split: dict[str, Any] = {
             "pc_type": "fieldsplit",
             "pc_fieldsplit_type": "multiplicative",
-            "pc_fieldsplit_block_size": d + 1,
-            "pc_fieldsplit_0_fields": ",".join(str(i) for i in range(d)),
-            "pc_fieldsplit_1_fields": str(d),
-            "fieldsplit_1_ksp_type": "preonly",
-            "fieldsplit_1_pc_type": "hypre",
-            "fieldsplit_0_ksp_type": "preonly",
+            "fieldsplit_phi_ksp_type": "preonly",
+            "fieldsplit_phi_pc_type": "hypre",
+            "fieldsplit_u_ksp_type": "preonly",
         }
-        return split | {f"fieldsplit_0_{name}": value for name, value in amg.items()}
+        return split | {f"fieldsplit_u_{name}": value for name, value in amg.items()}
 
-    def _prepare_fields(self, matrix: PETSc.Mat) -> None:
-        """Give the multigrid of the displacements the rigid-body modes."""
-        if self.direct:
-            return
+    def _split_fields(self) -> None:
+        """Tell the split which unknowns are displacements, with their rigid-body modes, and which the potential."""
         model = self.problem.model
-        modes = _near_nullspace(model, self.comm)
-        pc = self.snes.getKSP().getPC()
-        if not model.electric:
-            matrix.setNearNullSpace(modes)
+        if self.direct or not model.electric:
             return
-        pc.setUp()
-        displacement = pc.getFieldSplitSubKSP()[0]
-        block = displacement.getOperators()[1]
-        block.setBlockSize(model.dim)
-        block.setNearNullSpace(modes)
+        start = model.space.dofmap.index_map.local_range[0]
+        nodes = np.arange(start, start + model.owned)
+        d, block = model.dim, model.block
+        displacement = (nodes[:, None] * block + np.arange(d)).ravel().astype(PETSc.IntType)
+        u = PETSc.IS().createGeneral(displacement, comm=self.comm)
+        u.setBlockSize(d)
+        u.compose("nearnullspace", self._rigid)
+        phi = PETSc.IS().createGeneral((nodes * block + d).astype(PETSc.IntType), comm=self.comm)
+        pc = self.snes.getKSP().getPC()
+        pc.setType(PETSc.PC.Type.FIELDSPLIT)
+        pc.setFieldSplitIS(("u", u), ("phi", phi))
 
 
 def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:

@@ -204,13 +204,11 @@ class InterfaceLaw:
         s, s1, s2 = _fade(gap / self.fade)
         s1, s2 = s1 / self.fade, s2 / self.fade**2
         if self.adhesion is not None:
-            final = self.adhesion.final
+            # A function of the gap alone as long as the bond holds: its slope pulls, so it must not jump on a return.
+            bonded, final = self.bonded(history), self.adhesion.final
             width = (1.0 - RELEASE) * final
-            furthest = np.maximum(gap, history.opening)
-            b, b1, b2 = _fade((furthest - RELEASE * final) / width)
-            opening = history.touched & (gap > history.opening)
-            b = np.where(history.touched, b, 0.0)
-            b1, b2 = np.where(opening, b1, 0.0) / width, np.where(opening, b2, 0.0) / width**2
+            b, b1, b2 = (np.where(bonded, value, 0.0) for value in _fade((gap - RELEASE * final) / width))
+            b1, b2 = b1 / width, b2 / width**2
             s2 = (1.0 - b) * s2 - 2.0 * s1 * b1 + (1.0 - s) * b2
             s1 = (1.0 - b) * s1 + (1.0 - s) * b1
             s = 1.0 - (1.0 - s) * (1.0 - b)
