@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import ufl
 from numpy.typing import NDArray
 
 from app import fenicsx
@@ -10,12 +13,16 @@ from app.contact import Contact
 from app.model import Model
 from app.pieces import ContactPoints, FieldPiece, grid
 from forms.piezo import strain_and_field
+from forms.push_forward import deformation_gradient, push_forward
 
 Array = NDArray[np.float64]
 
 
 class FieldOutput:
-    """Turns states of a model into field pieces; cell values are those at the cells' centres."""
+    """Turns states of a model into field pieces; cell values are those at the cells' centres.
+
+    With finite kinematics they are the current ones: Cauchy stress, field and electric displacement of space.
+    """
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -25,6 +32,11 @@ class FieldOutput:
         self._node[geometry] = nodes
         state = strain_and_field(model.state, model.scene.model.kinematics)
         self._state = fenicsx.center_expression(state, model.mesh)
+        self._gradient: Any = None
+        if model.scene.model.kinematics == "finite":
+            gradient = ufl.grad(model.state)
+            entries = [gradient[i, j] for i in range(model.dim) for j in range(model.dim)]
+            self._gradient = fenicsx.center_expression(ufl.as_vector(entries), model.mesh)
 
     def piece(self) -> FieldPiece:
         """This rank's fields at the model's present state. Collective."""
@@ -33,7 +45,8 @@ class FieldOutput:
         cells = len(self._grid.cells)
         state = fenicsx.at_centers(self._state, model.mesh)
         strains = model.dim * (model.dim + 1) // 2
-        stress, field, density = np.zeros((cells, 6)), np.zeros((cells, 3)), np.zeros((cells, 3))
+        strain, stress = np.zeros((cells, 6)), np.zeros((cells, 6))
+        field, density = np.zeros((cells, 3)), np.zeros((cells, 3))
         potential = None
         if model.electric:
             potential = model.potential_scale * values[:, model.dim]
@@ -43,7 +56,11 @@ class FieldOutput:
             response = material.response(
                 state[rows, :strains], field[rows, : model.dim], model.dim, model.scene.model.plane
             )
-            stress[rows], density[rows] = response.stress, response.electric_displacement
+            strain[rows], stress[rows], density[rows] = response
+        if self._gradient is not None:
+            gradient = fenicsx.at_centers(self._gradient, model.mesh).reshape(cells, model.dim, model.dim)
+            f = deformation_gradient(gradient, strain[:, 2])
+            stress, field, density = push_forward(f, stress, field, density)
         electric = {"potential": potential, "electric_field": field, "electric_displacement": density}
         return FieldPiece(
             self._grid,

@@ -38,7 +38,9 @@ class Problem:
         self.contact = contact
         self.timer = timer
         self.comm: MPI.Comm = model.comm
-        self.state: PETSc.Vec = fenicsx.petsc_vector(model.state)
+        self._evaluated: PETSc.Vec = fenicsx.petsc_vector(model.state)  # where forms are evaluated
+        self.state: PETSc.Vec = self._evaluated.duplicate()
+        self.state.set(0.0)
         self.finite = model.scene.model.kinematics == "finite"
         self._trial, self._test = ufl.TrialFunction(model.space), ufl.TestFunction(model.space)
         self._coordinates = model.coordinate_vector()
@@ -75,7 +77,7 @@ class Problem:
         if self.contact is None:
             return
         with self.timer("contact"):
-            self._update_ghosts(self.state)
+            self.refresh()
             values = self.model.state.x.array.reshape(-1, self.model.block)
             self.contact.pair(self.state, values, self.model.coordinates, margin)
         self.tangent_matrix.forget_pattern()
@@ -86,21 +88,18 @@ class Problem:
             self._bulk_residual(x)
         if self.contact is not None:
             with self.timer("contact"):
-                self._terms = self.contact.evaluate(x, tangent=True)
-                self.contact.add_residual(self._terms, self.full)
+                self.contact.add_residual(self.contact.evaluate(x, tangent=False), self.full)
         self.full.copy(result)
         result.array[self.model.fixed] = 0.0
 
     def tangent(self, x: PETSc.Vec) -> tuple[PETSc.Mat, bool]:
-        """The tangent at x, the fixed unknowns eliminated, and whether its pattern differs from the last.
-
-        x is the state of the last `residual`: contact is evaluated once for both.
-        """
+        """The tangent at x, the fixed unknowns eliminated, and whether its pattern differs from the last."""
         self._update_bulk(x)
         none = np.zeros((0, 2), np.int64)
         nodes, matrices, reserve = none, np.zeros((0, 2 * self.model.block, 2 * self.model.block)), none
         if self.contact is not None:
             with self.timer("contact"):
+                self._terms = self.contact.evaluate(x, tangent=True)
                 nodes, matrices = self.contact.global_nodes(self._terms), self._terms.matrices
                 reserve = self.contact.reserve()
         with self.timer("assembly"):
@@ -109,7 +108,7 @@ class Problem:
         return matrix, fresh
 
     def lift(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = tangent at the state of the last `residual` times a change of the fixed unknowns."""
+        """result = tangent of the last `tangent` times a change of the fixed unknowns."""
         self._base().mult(change, result)
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)
@@ -122,8 +121,8 @@ class Problem:
         return change
 
     def refresh(self) -> None:
-        """Bring the model's state up to date where other ranks own it."""
-        self._update_ghosts(self.state)
+        """Bring the model's function up to date with the state, ghosts included."""
+        self._set_state(self.state)
 
     def norms(self, vector: PETSc.Vec) -> Array:
         """Euclidean norms of the displacement and the potential part of a vector, (1,) or (2,)."""
@@ -152,7 +151,7 @@ class Problem:
 
     def energies(self) -> dict[str, float]:
         """Stored energies of the bulk at the present state, pJ: elastic, electric."""
-        self._update_ghosts(self.state)
+        self.refresh()
         elastic, electric = self._energy_forms
         return {
             "elastic": fenicsx.integral(elastic),
@@ -247,9 +246,5 @@ class Problem:
         vector.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
 
     def _set_state(self, x: PETSc.Vec) -> None:
-        if x.handle != self.state.handle:
-            x.copy(self.state)
-        self._update_ghosts(self.state)
-
-    def _update_ghosts(self, vector: PETSc.Vec) -> None:
-        vector.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+        x.copy(self._evaluated)
+        self._evaluated.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)

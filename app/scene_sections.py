@@ -240,8 +240,8 @@ class Contact(Keys):
     passes: OneOrTwo = Field(2, description="2: both ways, half each")
     normal_penalty: Positive | None = Field(None, description="MPa/um per area")
     normal_penalty_factor: Positive | None = Field(
-        default_factory=_factor("normal_penalty", 100.0),
-        description="times stiffness / facet size; default 100 without normal_penalty",
+        default_factory=_factor("normal_penalty", 10.0),
+        description="times stiffness / facet size; default 10 without normal_penalty",
     )
     electric_penalty: Positive | None = Field(None, description="pC/(V um2)")
     electric_penalty_factor: Positive | None = Field(

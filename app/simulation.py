@@ -155,6 +155,8 @@ class _Session:
         if failure is not None:
             reason = str(failure)
             log.error("%s", reason)
+            self._go_back()
+        self.problem.refresh()
         self._conclude(failure is None, reason)
         if failure is not None:
             raise failure
@@ -167,6 +169,7 @@ class _Session:
     def _finish(self, step: Step, report: StepReport, seconds: float) -> None:
         self.history.append(row(self.problem, self.balance, self.pairs, step, report, seconds))
         self.last_step = step.number
+        self._remember()
         if self.results is None:
             return
         with self.timer("output"):
@@ -175,6 +178,22 @@ class _Session:
             self.results.row(self.history[-1])
             if self.scene.output.fields == "all":
                 self._write_fields()
+
+    def _remember(self) -> None:
+        """Keep the state at the end of a step: a later step may fail after some of its parts have converged."""
+        self._kept_state = self.problem.state.copy()
+        contact = self.problem.contact
+        self._kept_histories = [p.history.copy() for p in contact.passes] if contact is not None else []
+
+    def _go_back(self) -> None:
+        """Return to the end of the last step that converged as a whole, with contact evaluated there."""
+        if self.last_step == 0:
+            return
+        self._kept_state.copy(self.problem.state)
+        if self.problem.contact is not None:
+            for p, history in zip(self.problem.contact.passes, self._kept_histories, strict=True):
+                p.history = history
+        self.stepper.revisit()
 
     def _conclude(self, converged: bool, reason: str) -> None:
         if self.results is None:
@@ -201,7 +220,6 @@ class _Session:
     def _write_fields(self) -> None:
         if self._fields is None:
             self._fields = FieldOutput(self.model)
-        # Ghost values must be those of the converged state.
         self.problem.refresh()
         self.results.fields(self.last_step, float(self.last_step), self._fields.piece())
         if self.problem.contact is not None:
@@ -249,6 +267,8 @@ class _Session:
                 p.history.opening[:] = np.where(found, values[:, 0], 0.0)
         self.history = list(stored.scalars["history"])
         self.last_step = stored.step
+        self._remember()
+        self._go_back()
         self.results.resume(names, self.last_step, self.history)
 
     def _kept(self) -> str:

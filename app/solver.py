@@ -24,7 +24,9 @@ PREFIX = "piezomat_"
 DIRECT_LIMIT_3D = 60_000
 FIELD_FLOOR = 1e-3  # a field's residual is measured against at least this share of the other field's forces
 SLOPE_REDUCTION = 0.5  # share of the first slope at which a line search is content
-LINE_SEARCHES = 8
+LINE_SEARCHES = 30
+UPHILL_GROWTH = 10.0  # how much a step that leads uphill may increase the residual
+SHORTEST_STEP = 1e-3
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
 
 
@@ -161,26 +163,31 @@ class Newton:
         Points that come into contact make the enthalpy much steeper than the tangent knew. It is convex in the
         displacements where adhesion does not soften, so the place where its slope along the step vanishes is found by
         safeguarded secants on the displacements' part of residual . step; a step that ends before it is left alone.
+        A step that leads uphill, where the tangent is not positive, is halved until the residual is not much larger.
         """
         self._linear_solve.close()
         slope_here = -self._slope(self._residual, step)
         self._try(x, step, 1.0)
         slope = -self._slope(self._trial, step)
-        if slope_here >= 0.0 or not slope > SLOPE_REDUCTION * -slope_here:
+        if slope_here >= 0.0:
+            length, bound = 1.0, UPHILL_GROWTH * self._residual.norm()
+            while self._trial.norm() > bound and length > SHORTEST_STEP:
+                length *= 0.5
+                self._try(x, step, length)
+            step.scale(length)
+            return
+        if not slope > SLOPE_REDUCTION * -slope_here:
             return
         low, high = (0.0, slope_here), (1.0, slope)
-        for _ in range(LINE_SEARCHES):
-            # Illinois variant of the false position: the slope is monotonic but has kinks.
-            length = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
-            length = min(max(length, low[0] + 0.1 * (high[0] - low[0])), high[0] - 0.1 * (high[0] - low[0]))
+        for search in range(LINE_SEARCHES):
+            # The slope is monotonic with kinks: secants by turns with halving.
+            share = low[1] / (low[1] - high[1]) if search % 2 == 0 else 0.5
+            length = low[0] + share * (high[0] - low[0])
             self._try(x, step, length)
             slope = -self._slope(self._trial, step)
             if abs(slope) <= SLOPE_REDUCTION * -slope_here:
                 break
-            if slope > 0.0:
-                high, low = (length, slope), (low[0], 0.5 * low[1])
-            else:
-                low, high = (length, slope), (high[0], 0.5 * high[1])
+            low, high = (low, (length, slope)) if slope > 0.0 else ((length, slope), high)
         step.scale(length)
 
     def _try(self, x: PETSc.Vec, step: PETSc.Vec, length: float) -> None:

@@ -102,6 +102,12 @@ class Stepper:
             self.size = min(1.0, 2.0 * self.size)
         return report
 
+    def revisit(self) -> None:
+        """Evaluate residual and contact at the present state, as they are at the end of a step."""
+        problem = self.problem
+        problem.begin_step(problem.contact.least_margin() if problem.contact is not None else 0.0)
+        problem.residual(problem.state, problem.state.duplicate())
+
     def margin(self) -> float:
         """How far the contact search must look in the coming solve, um: what moves, and what is already there."""
         problem = self.problem

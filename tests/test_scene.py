@@ -157,7 +157,7 @@ def test_defaults() -> None:
     contact = scene.contact
     assert contact is not None
     assert (contact.pairs, contact.method, contact.passes) == ("auto", "point", 2)
-    assert (contact.normal_penalty, contact.normal_penalty_factor) == (None, 100.0)
+    assert (contact.normal_penalty, contact.normal_penalty_factor) == (None, 10.0)
     assert (contact.electric_penalty, contact.electric_penalty_factor) == (None, 10.0)
     assert (contact.nodal_weight, contact.electric_range, contact.adhesion) == (None, None, None)
     assert halves(contact={"method": "node"}).contact.nodal_weight == "area"

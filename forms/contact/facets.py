@@ -64,12 +64,21 @@ class FacetKind:
         upper = 1.0 - (xi.sum(axis=1, keepdims=True) if self.simplex else xi)
         return -np.minimum(xi.min(axis=1), upper.min(axis=1))
 
-    def clamp(self, xi: Array) -> Array:
-        """Points xi (m, t) moved onto the reference facet."""
-        if not self.simplex:
+    def clamp(self, xi: Array, metric: Array) -> Array:
+        """The points of the reference facet nearest to points xi (m, t) in a metric (m, t, t) each."""
+        if self.dim == 1:
             return np.clip(xi, 0.0, 1.0)
-        weights = np.clip(np.column_stack([1.0 - xi.sum(axis=1), xi]), 0.0, None)
-        return weights[:, 1:] / weights.sum(axis=1, keepdims=True)
+        nearest = xi.copy()
+        least = np.where(self.overshoot(xi) <= 0.0, 0.0, np.inf)
+        corners = self.nodes[[0, 1, 2] if self.simplex else [0, 1, 3, 2]]
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            along = metric @ (end - start)
+            share = np.einsum("ma,ma->m", xi - start, along) / (along @ (end - start))
+            point = start + np.clip(share, 0.0, 1.0)[:, None] * (end - start)
+            distance = np.einsum("ma,mab,mb->m", point - xi, metric, point - xi)
+            nearer = distance < least
+            nearest[nearer], least[nearer] = point[nearer], distance[nearer]
+        return nearest
 
     def quadrature(self) -> tuple[Array, Array]:
         """Points (m, t) and weights (m) of the rule for `point` contact: exact for degree 2 p + 1 or so."""

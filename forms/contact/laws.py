@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that it has a slope
 RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
+SAME = 1e-10  # of the final opening: a point this near to its largest opening unloads, whatever the round-off says
 
 
 @dataclass
@@ -32,6 +33,10 @@ class History:
 
     def __getitem__(self, rows: NDArray) -> History:
         return History(self.touched[rows], self.opening[rows])
+
+    def copy(self) -> History:
+        """A history of its own."""
+        return History(self.touched.copy(), self.opening.copy())
 
     def advanced(self, gap: Array) -> History:
         """The history after a converged step that ended at this gap."""
@@ -187,7 +192,7 @@ class InterfaceLaw:
 
     def _adhere(self, gap: Array, history: History, response: Response) -> None:
         law = self.adhesion
-        loading = (gap > history.opening) | (law.always & ~history.touched)
+        loading = (gap > history.opening + SAME * law.final) | (law.always & ~history.touched)
         furthest = np.where(loading, np.maximum(gap, 0.0), history.opening)
         traction, tangent, work = law.envelope(furthest)
         secant = np.where(furthest > law.elastic, traction / np.maximum(furthest, law.elastic), law.penalty)
