@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,13 +13,17 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import reductions
+from forms.contact.facets import FacetKind
 from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints, contact_vectors
 from forms.contact.laws import History, InterfaceLaw, Response
+from meshes.overlap import deepest_overlap
 from meshes.pairing import VisibleFacets, closest_facets, near_points, point_normals, share_facets
 from meshes.surface import Surface
 
 Array = NDArray[np.float64]
+
+log = logging.getLogger("piezomat")
 
 # A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
 # the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
@@ -95,12 +100,14 @@ class Contact:
         self.potential_scale = potential_scale
         self.margin = 0.0
         self.outgrown = False
+        self.broken = False
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
         sizes = [np.log(p.size) for p in self.passes]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
         self._facet = float(np.exp(total[0] / total[1]))
+        self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.passes), op=MPI.MAX)
         self.reach = comm.allreduce(max(p.law.reach for p in self.passes), op=MPI.MAX)
 
     def pair(self, state: PETSc.Vec, local_state: Array, local_coordinates: Array, margin: float) -> None:
@@ -145,7 +152,15 @@ class Contact:
         moved = np.abs(values[:, : self.dim] - self._paired_at).max(initial=0.0)
         self.outgrown = self.comm.allreduce(float(moved), op=MPI.MAX) > 0.5 * self.margin
         potentials = values[:, self.dim] if self.potential_scale is not None else None
-        terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
+        try:
+            terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
+        except (np.linalg.LinAlgError, ValueError) as error:
+            log.debug("contact cannot be evaluated at this state: %s", error)
+            terms = None
+        # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
+        self.broken = self.comm.allreduce(terms is None, op=MPI.LOR)
+        if self.broken:
+            terms = [_nothing(p.slave.kind, self.components, tangent) for p in self.passes]
         size = 2 * len(self.passes[0].slave.kind.nodes)
         nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
         vectors = np.concatenate([t.vectors for t in terms])
@@ -185,14 +200,25 @@ class Contact:
         """Let the history take in the last evaluation, the end of a converged step."""
         self.last_penetration = self.penetration()
         for p in self.passes:
-            near = p.rows[p.met]
-            advanced = p.history[near].advanced(p.projection.gap)
+            near, gap = p.rows[p.met], p.projection.gap
+            advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
+            p.history = p.law.lost(p.history)
             p.history.touched[near] = advanced.touched
             p.history.opening[near] = advanced.opening
 
     def least_margin(self) -> float:
         """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration."""
         return 2.0 * self._facet + self.reach + 4.0 * self.last_penetration
+
+    def overlap(self) -> float:
+        """How deep slave surfaces lie inside the master's bodies at the state of the last pairing, um."""
+        position = self._reference + self._paired_at
+        deepest = 0.0
+        for p in self.passes:
+            centers = position[p.slave_nodes].mean(axis=1)
+            depth = deepest_overlap(p.slave.kind, centers, position[p.master_nodes], p.visible.orientation)
+            deepest = max(deepest, depth)
+        return self.comm.allreduce(deepest, op=MPI.MAX)
 
     def penetration(self) -> float:
         """Deepest penetration of the last evaluation, um."""
@@ -283,7 +309,7 @@ class Contact:
             p.visible.orientation,
             p.visible.key,
             2.0 * self.margin,
-            p.depth,
+            max(p.depth, 2.0 * self.last_penetration),
         )
 
     def _scatter(self, state: PETSc.Vec) -> None:
@@ -296,6 +322,14 @@ class Contact:
     def _gather(self, vector: PETSc.Vec) -> Array:
         self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
         return self._local.array.reshape(-1, self.components).copy()
+
+
+def _nothing(kind: FacetKind, components: int, tangent: bool) -> ContactTerms:
+    n = 2 * len(kind.nodes)
+    empty = np.zeros((0, n, components))
+    return ContactTerms(
+        np.zeros((0, n), np.int64), empty, np.zeros((0, n * components, n * components)) if tangent else None
+    )
 
 
 def _global(index_map: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:

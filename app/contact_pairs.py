@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from app import fenicsx, reductions
+from app import fenicsx
 from app.contact import Contact, ContactPass
 from app.model import Model
 from app.scene_errors import SceneError
@@ -18,30 +18,18 @@ from meshes.surface import Surface, body_facets, multiplicity, surface
 
 Array = NDArray[np.float64]
 
-FADE = 0.25  # default gap over which the electric contact fades out, in facet sizes
-REACH = 0.1  # bodies nearer than this share of the smallest body's size can meet, beside what the boundaries move
+FADE = 0.1  # default gap over which the electric contact fades out, in facet sizes
 
 
 def pair_names(model: Model) -> list[tuple[str, str]]:
-    """The pairs of the scene; "auto": every two bodies that share no node and can come near each other. Collective."""
+    """The pairs of the scene; "auto": every two bodies that share no node."""
     given = model.scene.contact.pairs
     if given != "auto":
         return [(a, b) for a, b in given]
     bodies = model.bodies
     parts = [{p for p, members in enumerate(bodies.part_bodies) if i in members} for i in range(len(bodies.bodies))]
-    low, high = _body_boxes(model)
-    motion = sum(
-        max((abs(v) for v in b.displacement or [] if v is not None), default=0.0)
-        * max((abs(f) for f in model.scene.load.factors.get(b.follows, [1.0])), default=1.0)
-        for b in model.scene.boundaries
-    )
-    motion += REACH * float((high - low).max(axis=1).min())
-    pairs = []
-    for i, j in combinations(range(len(bodies.bodies)), 2):
-        apart = np.maximum(low[i] - high[j], low[j] - high[i]).max()
-        if not parts[i] & parts[j] and apart <= motion:
-            pairs.append((bodies.bodies[i], bodies.bodies[j]))
-    return pairs
+    pairs = combinations(range(len(bodies.bodies)), 2)
+    return [(bodies.bodies[i], bodies.bodies[j]) for i, j in pairs if not parts[i] & parts[j]]
 
 
 def contact_of(model: Model) -> Contact | None:
@@ -59,9 +47,7 @@ def contact_of(model: Model) -> Contact | None:
         for first, (slave, master) in zip((True, False), directions, strict=False):
             passes.append(_pass(model, number, surfaces[slave], surfaces[master], first))
     if not passes:
-        raise SceneError(
-            "contact.pairs", "no two bodies that can come near each other", "bodies that meet, or no [contact]"
-        )
+        raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
     return Contact(model.comm, model.space, model.coordinate_vector(), passes, model.potential_scale)
 
 
@@ -143,13 +129,3 @@ def _depth(model: Model, *surfaces: Surface) -> float:
 def _bodies_of(model: Model, group: Surface) -> set[int]:
     here = set(model.bodies.cell_body[group.cells].tolist())
     return set().union(*model.comm.allgather(here))
-
-
-def _body_boxes(model: Model) -> tuple[Array, Array]:
-    nodes = fenicsx.dofmap(model.space)
-    count = len(model.bodies.bodies)
-    low, high = np.full((count, model.dim), np.inf), np.full((count, model.dim), -np.inf)
-    x = model.coordinates[nodes]
-    np.minimum.at(low, model.bodies.cell_body[: len(nodes)], x.min(axis=1) if len(x) else x.reshape(0, model.dim))
-    np.maximum.at(high, model.bodies.cell_body[: len(nodes)], x.max(axis=1) if len(x) else x.reshape(0, model.dim))
-    return reductions.least(model.comm, low), reductions.largest(model.comm, high)

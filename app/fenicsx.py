@@ -195,3 +195,15 @@ def at_centers(expression: Any, mesh: Any) -> NDArray[np.float64]:
     """Values (cells, components) of a `center_expression` in this rank's cells."""
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     return expression.eval(cells)
+
+
+def cell_volumes(mesh: Any) -> NDArray[np.float64]:
+    """Volume (2D: area) of each local cell, from its vertices and the map's Jacobian at its centre."""
+    dim = mesh.topology.dim
+    vertices = mesh.geometry.x[geometry_dofmap(mesh)][:, : {2: 4, 3: 8}[dim], :dim]
+    if cell_name(mesh) in ("triangle", "tetrahedron"):
+        edges = vertices[:, 1 : dim + 1] - vertices[:, :1]
+        return np.abs(np.linalg.det(edges)) / (2.0 if dim == 2 else 6.0)
+    # Tensor vertices are numbered with the first axis running fastest.
+    signs = np.array([[1.0 if (v >> axis) & 1 else -1.0 for v in range(2**dim)] for axis in range(dim)])
+    return np.abs(np.linalg.det(np.einsum("av,cvi->cai", signs, vertices) / 2 ** (dim - 1)))

@@ -117,12 +117,13 @@ def pair_values(contact: Contact, number: int, name: str, electric: bool) -> dic
             continue
         r, gap = p.response, p.projection.gap
         rows = p.rows[p.met]
-        weight = p.share * p.points.weight[rows]
+        area = p.points.area[rows]
+        pressure = -r.slope * p.points.weight[rows] / area
         sums[:d] += p.force if p.first else -p.force
-        sums[d] += weight @ (gap <= 0.0)
+        sums[d] += p.share * area @ (gap <= 0.0)
         # History is that of the converged step, so bonds that broke in it no longer count.
-        sums[d + 1] += p.share * p.points.weight @ p.law.bonded(p.history)
-        largest[0] = max(largest[0], -r.slope.min(initial=0.0))
+        sums[d + 1] += p.share * p.points.area @ p.law.bonded(p.history)
+        largest[0] = max(largest[0], pressure.max(initial=0.0))
         largest[1] = max(largest[1], -gap.min(initial=0.0))
         if p.jump is not None:
             together = (gap <= 0.0) | (p.law[rows].status(gap, p.history[rows]) == 2)

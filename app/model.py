@@ -44,6 +44,12 @@ class Condition:
     nodes: NDArray[np.int32]
     weights: Array
 
+    @property
+    def loaded(self) -> bool:
+        """Whether the boundary applies a load."""
+        b = self.boundary
+        return any(load is not None for load in (b.traction, b.pressure, b.charge_density))
+
 
 class Model:
     """The discrete model of a scene on a distributed mesh. Collective.
@@ -68,6 +74,7 @@ class Model:
         self.space = fenicsx.lagrange(self.mesh, bodies.order, self.dim + self.electric)
         self.block: int = self.dim + self.electric
         self.state = dolfinx.fem.Function(self.space)
+        self.part_modulus = np.array([self._modulus(members) for members in bodies.part_bodies])
         self.law = law_field(
             self.mesh,
             [m.law(self.dim, scene.model.plane) for m in self.materials],
@@ -84,6 +91,13 @@ class Model:
             self.groups.setdefault(condition.boundary.on, []).append(condition)
         self._find_loads()
         self.floating = self._find_floating()
+
+    def _modulus(self, members: list[int]) -> Array:
+        """Stiffness of the softest body of a part, MPa, and the same for the potential unknown."""
+        materials = [self.materials[i] for i in members]
+        permittivity = [np.diag(m.permittivity).mean() for m in materials if m.permittivity is not None]
+        electric = min(permittivity, default=0.0) * (self.potential_scale or 0.0) ** 2
+        return np.array([min(float(np.diag(m.stiffness)[:3].mean()) for m in materials), electric])
 
     @property
     def unknowns(self) -> int:
@@ -204,12 +218,24 @@ class Model:
         return float(total[0]), total[1:], nodes, share.weight
 
     def _find_loads(self) -> None:
-        """Constants and facet tags of the loads; a facet belongs to the group that is listed first."""
+        """Constants and facet tags of the loads."""
         exterior = fenicsx.exterior_facets(self.mesh)
-        tags = np.zeros(exterior.max(initial=-1) + 1, np.int32)
-        numbers = {name: number for number, name in enumerate(self.groups, start=1)}
-        for name, conditions in reversed(self.groups.items()):
-            tags[np.intersect1d(conditions[0].facets, exterior)] = numbers[name]
+        loaded = [name for name, conditions in self.groups.items() if any(c.loaded for c in conditions)]
+        # Groups may share facets: a tag stands for a set of groups, each of whose loads acts there.
+        member = np.zeros((exterior.max(initial=-1) + 1, len(loaded)), bool)
+        for column, name in enumerate(loaded):
+            facets = self.groups[name][0].facets
+            here = np.intersect1d(facets, exterior)
+            member[here, column] = True
+            if self.comm.allreduce(len(facets) > len(here), op=MPI.LOR):
+                index = self.scene.boundaries.index(self.groups[name][0].boundary)
+                raise SceneError(
+                    f"boundaries[{index}].on", f'a load on "{name}", inside a body', "a group of the outside"
+                )
+        sets = sorted(set().union(*self.comm.allgather({tuple(row) for row in member.tolist() if any(row)})))
+        tags = np.zeros(len(member), np.int32)
+        for number, row in enumerate(sets, start=1):
+            tags[(member == row).all(axis=1)] = number
         facets = np.flatnonzero(tags).astype(np.int32)
         self._facet_tags = dolfinx.mesh.meshtags(self.mesh, self.dim - 1, facets, tags[facets])
         self._load_measure = ufl.Measure("ds", domain=self.mesh, subdomain_data=self._facet_tags)
@@ -225,21 +251,16 @@ class Model:
             if given:
                 constants = {name: dolfinx.fem.Constant(self.mesh, np.asarray(v, float)) for name, v in given.items()}
                 self._load_constants += [(constants[name], given[name], b) for name in given]
-                self._loads.append(Load(numbers[b.on], **constants))
+                numbers = [number for number, row in enumerate(sets, start=1) if row[loaded.index(b.on)]]
+                self._loads += [Load(number, **constants) for number in numbers]
 
     def _find_floating(self) -> NDArray[np.bool_]:
         """(parts, 2): whether nothing but contact holds a part, mechanically and electrically."""
         parts = len(self.bodies.part_bodies)
         d, owned = self.dim, self.owned
         part = self.node_part[:owned]
-        count = self._sum_by_part(part, np.ones((owned, 1)))
-        middle = self._sum_by_part(part, self.coordinates[:owned]) / count
-        local = self.coordinates[:owned] - middle[part]
-        second = np.einsum("ni,nj->nij", local, local).reshape(owned, -1)
-        moments = np.linalg.eigvalsh((self._sum_by_part(part, second) / count).reshape(parts, d, d))
-        self.part_size = np.sqrt(moments.sum(axis=1))
-        self.part_thickness = np.sqrt(12.0 * moments[:, 0])  # of a plate or block with that second moment
-        local /= self.part_size[part, None]
+        middle = self._find_extents()
+        local = (self.coordinates[:owned] - middle[part]) / self.part_size[part, None]
         modes = rigid_modes(local)
         held = np.zeros((owned * self.block,), bool)
         held[self.fixed] = True
@@ -256,6 +277,23 @@ class Model:
             charged = self._sum_by_part(part, inside[:, None].astype(float))[:, 0] > 0
             floating[:, 1] = charged & ~grounded
         return floating
+
+    def _find_extents(self) -> Array:
+        """Centre of gravity (parts, d) of each part; sets its size and thickness from its second moments of volume."""
+        part = self.bodies.cell_part
+        nodes = fenicsx.dofmap(self.space)[: len(part)]
+        cells = self.coordinates[nodes]
+        volume = fenicsx.cell_volumes(self.mesh)[:, None]
+        total = self._sum_by_part(part, volume)
+        middle = self._sum_by_part(part, volume * cells.mean(axis=1)) / total
+        # Nodes rather than centres, so that a part of one cell has an extent too.
+        local = cells - middle[part][:, None]
+        second = volume * np.einsum("cni,cnj->cij", local, local).reshape(len(part), self.dim**2) / cells.shape[1]
+        moments = (self._sum_by_part(part, second) / total).reshape(-1, self.dim, self.dim)
+        moments = np.linalg.eigvalsh(moments)
+        self.part_size = np.sqrt(moments.sum(axis=1))
+        self.part_thickness = np.sqrt(12.0 * moments[:, 0])  # of a plate or block with that second moment
+        return middle
 
     def _sum_by_part(self, part: NDArray[np.int64], values: Array) -> Array:
         total = np.zeros((len(self.bodies.part_bodies), values.shape[1]))

@@ -79,9 +79,10 @@ def contact_points(contact: Contact, electric: bool) -> ContactPoints:
         gap = p.projection.gap
         master = np.einsum("mk,mkd->md", p.master.kind.shape(p.projection.xi), p.projection.nodes)
         position = master + gap[:, None] * p.projection.normal
+        pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
         status = p.law[rows].status(gap, p.history[rows])
-        parts = [position, p.projection.normal, gap, -p.response.slope, status, np.full(len(gap), p.pair), jump]
+        parts = [position, p.projection.normal, gap, pressure, status, np.full(len(gap), p.pair), jump]
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)

@@ -22,8 +22,8 @@ from forms.piezo import internal_form, load_tangent, tangent_form
 
 Array = NDArray[np.float64]
 
-# Springs that hold a floating part where it was at the last converged step: stiffness over its size squared.
-GROUNDING = 1e-6
+# Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
+GROUNDING = 1e-8
 
 
 class Problem:
@@ -55,6 +55,15 @@ class Problem:
         self.start = self.state.duplicate()  # the last converged state
         self._terms: ContactTerms | None = None
         self.linear = contact is None and not self.finite
+        length = float(model.part_size.max())
+        stiffest = contact.stiffest if contact is not None else 0.0
+        # Forces of a strain of one, and of a penetration as large as the coordinates that the gaps are made from.
+        self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
+
+    @property
+    def floats(self) -> bool:
+        """Whether springs hold a part, because its boundaries do not."""
+        return self._grounding is not None
 
     @property
     def symmetric(self) -> bool:
@@ -88,7 +97,10 @@ class Problem:
             self._bulk_residual(x)
         if self.contact is not None:
             with self.timer("contact"):
-                self.contact.add_residual(self.contact.evaluate(x, tangent=False), self.full)
+                terms = self.contact.evaluate(x, tangent=False)
+                self.contact.add_residual(terms, self.full)
+                if self.contact.broken:
+                    self.full.set(np.nan)
         self.full.copy(result)
         result.array[self.model.fixed] = 0.0
 
@@ -131,6 +143,15 @@ class Problem:
         if self.model.electric:
             parts.append(values[:, -1].sum())
         return np.sqrt(reductions.total(self.comm, np.array(parts)))
+
+    @property
+    def loaded(self) -> bool:
+        """Whether the scene has loads, beside prescribed displacements and potentials."""
+        return self._load_form is not None
+
+    def outer_forces(self) -> Array:
+        """Norms (1,) or (2,) of what acts on the model from outside at the last `residual`: reactions and loads."""
+        return self.norms(self.full - self._loads)
 
     def load_forces(self) -> Array:
         """This rank's share of what the loads add to the residual: minus the nodal forces they apply."""
@@ -187,16 +208,35 @@ class Problem:
         """The grounding matrix, where a part floats."""
         model = self.model
         self._grounding: PETSc.Mat | None = None
+        self._grounded: PETSc.Mat | None = None
+        self._factor = 1.0
         if not model.floating.any():
             return
         strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
-        values = GROUNDING * model.stiffness / model.part_size[:, None] ** 2 * model.floating
+        values = GROUNDING * model.part_modulus / model.part_size[:, None] ** 2 * model.floating
         cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
         strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
         strength.x.scatter_forward()
         form = dolfinx.fem.form(grounding_form(self._trial, self._test, strength))
         self._grounding = dolfinx.fem.petsc.assemble_matrix(form)
         self._grounding.assemble()
+
+    def set_grounding(self, factor: float) -> None:
+        """Make the springs of floating parts `factor` times as strong as they finally are."""
+        if self.floats and factor != self._factor:
+            self._grounding.scale(factor / self._factor)
+            self._factor = factor
+            self._grounded = None
+            self.tangent_matrix.set_bulk(self._base())
+
+    def carried_by_grounding(self) -> float:
+        """Forces of the springs on floating parts over the forces of the loads; 0 without springs or loads."""
+        loads = self.comm.allreduce(float(np.abs(self.displacements(self._loads)).sum()), op=MPI.SUM)
+        if not self.floats or loads == 0.0:
+            return 0.0
+        force = self.state.duplicate()
+        self._grounding.mult(self.state - self.start, force)
+        return self.comm.allreduce(float(np.abs(self.displacements(force)).sum()), op=MPI.SUM) / loads
 
     def _assemble_bulk(self) -> None:
         self._bulk.zeroEntries()
@@ -209,7 +249,7 @@ class Problem:
         """Bulk and grounding: all of the tangent but contact."""
         if self._grounding is None:
             return self._bulk
-        if self.finite or not hasattr(self, "_grounded"):
+        if self.finite or self._grounded is None:
             self._grounded = self._bulk.copy()
             self._grounded.axpy(1.0, self._grounding, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         return self._grounded

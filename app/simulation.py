@@ -353,10 +353,8 @@ def _check_overlap(problem: Problem) -> None:
     if contact is None:
         return
     size = float(problem.model.part_thickness.min())
-    problem.begin_step(max(contact.least_margin(), size))
-    with problem.timer("contact"):
-        contact.evaluate(problem.state, tangent=False)
-    overlap = contact.penetration()
+    problem.begin_step(size)
+    overlap = contact.overlap()
     if overlap > OVERLAP * size:
         raise SceneError(
             "geometry",

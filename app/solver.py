@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from app.scene_sections import Solver
 
 log = logging.getLogger("piezomat")
 
-PREFIX = "piezomat_"
+PREFIXES = (f"piezomat{number}_" for number in itertools.count())  # one run's options are not the next one's
 # Largest three-dimensional model for which a direct factorization is the faster choice (REFERENCES: MUMPS takes
 # 2.8 s at 50,000 unknowns and 74 s at 251,000, multigrid 6.5 s there).
 DIRECT_LIMIT_3D = 60_000
@@ -27,6 +28,10 @@ SLOPE_REDUCTION = 0.5  # share of the first slope at which a line search is cont
 LINE_SEARCHES = 30
 UPHILL_GROWTH = 10.0  # how much a step that leads uphill may increase the residual
 SHORTEST_STEP = 1e-3
+REFINEMENTS = 5  # of a linear solve
+CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
+SPRINGS = tuple(10.0**power for power in range(7, -1, -1))  # factors by which those springs are stronger at first
+FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
 
 
@@ -67,9 +72,10 @@ class Newton:
         self._kept: list[PETSc.Mat] = []
         self._repair = False
         self._linear_solve = ExitStack()
+        self._prefix = next(PREFIXES)
         self._set_options()
         self.snes = PETSc.SNES().create(self.comm)
-        self.snes.setOptionsPrefix(PREFIX)
+        self.snes.setOptionsPrefix(self._prefix)
         self.snes.setType(PETSc.SNES.Type.NEWTONLS)
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._evaluate, self._residual)
@@ -83,33 +89,55 @@ class Newton:
     def solve(self, margin: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
 
-        margin (um): how far the contact search looked when the step's surfaces were paired.
+        margin (um): how far the contact search looked when the step's surfaces were paired. A load on a part that
+        only contact can hold would throw it away before it is held: its springs are then made strong at first.
         """
-        report = NewtonReport()
-        self._report = report
+        report = self._report = NewtonReport()
+        problem = self.problem
+        try:
+            self._solve(margin, report)
+            if problem.carried_by_grounding() <= CARRIED:
+                return report
+        except SolveError:
+            if not problem.floats or not problem.loaded:
+                raise
+        problem.start.copy(problem.state)
+        problem.pair(margin)
+        try:
+            for factor in SPRINGS:
+                problem.set_grounding(factor)
+                self._solve(margin, report)
+        finally:
+            problem.set_grounding(1.0)
+        if problem.carried_by_grounding() > CARRIED:
+            raise SolveError("nothing holds a body against the load on it: no boundary, and no contact")
+        return report
+
+    def _solve(self, margin: float, report: NewtonReport) -> None:
+        problem = self.problem
         self._reference[:] = 0.0
         self._predict(report)
-        if self.problem.linear:
-            self._check_linear(report)
-            return report
+        if problem.linear:
+            self._refine(report)
+            return
         for _ in range(REPAIRINGS):
             self._repair = False
             self.snes.setJacobian(self._tangent, self._kept[-1])
             with self._linear_solve:
-                self.snes.solve(None, self.problem.state)
+                self.snes.solve(None, problem.state)
             report.iterations += self.snes.getIterationNumber()
             report.krylov += self.snes.getLinearSolveIterations()
             if not self._repair:
                 self._check(self.snes.getConvergedReason())
-                penetration = self.problem.contact.penetration() if self.problem.contact else 0.0
+                penetration = problem.contact.penetration() if problem.contact else 0.0
                 if penetration <= 0.5 * margin:
-                    return report
+                    return
                 margin = 4.0 * penetration
             else:
                 margin = 2.0 * margin
-            if report.iterations > REPAIRINGS * self.keys.max_iterations:
-                break
-            self.problem.pair(margin)
+            if problem.motion() > FLOWN * problem.model.part_size.max():
+                raise SolveError("a body flies away: it moves by more than its size in one step")
+            problem.pair(margin)
         raise SolveError("the contact surfaces kept moving further than the contact search had looked")
 
     def _predict(self, report: NewtonReport) -> None:
@@ -151,9 +179,9 @@ class Newton:
         return matrix
 
     def _evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
-        if self._trial_is_next:
+        reuse, self._trial_is_next = self._trial_is_next and x.equal(self._change), False
+        if reuse:
             self._trial.copy(result)
-            self._trial_is_next = False
             return
         self.problem.residual(x, result)
 
@@ -226,20 +254,26 @@ class Newton:
         return PETSc.SNES.ConvergedReason.ITERATING
 
     def _relative(self, residual: PETSc.Vec) -> float:
-        """Largest of the fields' residuals over their reference: reactions and the step's out-of-balance forces."""
+        """Largest of the fields' residuals over their reference: outer forces and the step's out-of-balance forces.
+
+        What rounding alone makes of the largest forces that the model could carry is left out of account.
+        """
         problem = self.problem
         norms = problem.norms(residual)
-        forces = np.maximum(self._reference, problem.norms(problem.full))
-        floor = 1e-15 * problem.model.stiffness * problem.model.part_size.min() ** (problem.model.dim - 1)
-        forces = np.maximum(forces, max(FIELD_FLOOR * forces.max(), floor))
-        return float((norms / forces).max())
+        forces = np.maximum(self._reference, problem.outer_forces())
+        forces = np.maximum(forces, FIELD_FLOOR * forces.max())
+        rounding = 2.0 * np.finfo(float).eps * problem.largest_force
+        return float((np.maximum(norms - rounding, 0.0) / np.maximum(forces, rounding)).max())
 
-    def _check_linear(self, report: NewtonReport) -> None:
-        self.problem.residual(self.problem.state, self._residual)
-        ratio = self._relative(self._residual)
-        report.residuals.append(ratio)
-        if not ratio <= self.keys.tolerance:
-            raise SolveError(f"the linear system was solved to a relative residual of {ratio:.1e} only")
+    def _refine(self, report: NewtonReport) -> None:
+        """Repeat a linear solve on what its residual leaves, as a Krylov solver or a bad condition may ask for."""
+        for _ in range(REFINEMENTS):
+            self.problem.residual(self.problem.state, self._residual)
+            report.residuals.append(self._relative(self._residual))
+            if report.residuals[-1] <= self.keys.tolerance:
+                return
+            self._predict(NewtonReport())
+        raise SolveError(f"the linear system was solved to a relative residual of {report.residuals[-1]:.1e} only")
 
     def _check(self, reason: int) -> None:
         if reason > 0:
@@ -272,10 +306,15 @@ class Newton:
             chosen |= {"ksp_type": "preonly", "pc_type": factor, "pc_factor_mat_solver_type": "mumps"}
             chosen |= {"mat_mumps_icntl_14": 60}
         else:
-            chosen |= {"ksp_type": "fgmres", "ksp_rtol": 1e-8, "ksp_gmres_restart": 100, "ksp_max_it": 1000}
+            chosen |= {
+                "ksp_type": "fgmres",
+                "ksp_rtol": min(1e-8, 0.1 * self.keys.tolerance),
+                "ksp_gmres_restart": 100,
+                "ksp_max_it": 1000,
+            }
             chosen |= self._multigrid()
         for name, value in {**chosen, **self.keys.petsc}.items():
-            options[PREFIX + name] = value
+            options[self._prefix + name] = value
 
     def _multigrid(self) -> dict[str, Any]:
         """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""

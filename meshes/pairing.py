@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 BOX_FACETS = 64  # facets in a box of the coarse search
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
 FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other
+BULGE = 0.1  # how far a curved facet may reach out of the box of its nodes, in its length
 TIE = 1e-9  # facets equally near within this share of their size are told apart by their key
 
 
@@ -105,57 +106,98 @@ def closest_facets(
     """
     found = np.full(len(points), -1)
     where = np.zeros((len(points), kind.dim))
-    row, facet = _candidates(kind, points, facets, margin)
+    row, facet, unseen = _candidates(kind, points, facets, margin)
     if not len(row):
         return found, where
-    p = project(kind, points[row], facets[facet], orientation[facet])
-    nearest = np.einsum("mk,mkd->md", kind.shape(kind.clamp(p.xi)), p.nodes)
-    distance = np.linalg.norm(points[row] - nearest, axis=1)
-    size = np.linalg.norm(np.ptp(p.nodes, axis=1), axis=1)
-    facing = np.einsum("md,md->m", p.normal, normals[row]) < FACING
+    seen = _look(kind, points, normals, facets, orientation, row, facet)
+    least = seen.least(len(points))
+    again = np.flatnonzero(np.isfinite(least) & (unseen < least))
+    if len(again):
+        more_row, more_facet = _all_within(points[again], facets, least[again])
+        seen = seen[~np.isin(row, again)]
+        row, facet = np.concatenate([seen.row, again[more_row]]), np.concatenate([seen.facet, more_facet])
+        seen = _look(kind, points, normals, facets, orientation, row, facet)
     # A point behind a facet is inside the body only if the nearest facet of all says so too: the far side of a body
     # faces the far side of the other.
-    closest = np.lexsort((~facing, distance, row))
-    rows, first = np.unique(row[closest], return_index=True)
+    closest = np.lexsort((~seen.facing, seen.distance, seen.row))
+    rows, first = np.unique(seen.row[closest], return_index=True)
     outside = np.zeros(len(points), bool)
-    outside[rows] = (p.gap > END_TOLERANCE * size)[closest[first]]
-    facing &= (p.gap > 0.0) | (~outside[row] & (p.gap > -depth))
-    row, facet, xi, distance, size = (values[facing] for values in (row, facet, p.xi, distance, size))
-    if not len(row):
-        return found, where
-    least = np.full(len(points), np.inf)
-    np.minimum.at(least, row, distance)
-    best = distance <= least[row] + TIE * size
-    row, facet, xi = row[best], facet[best], xi[best]
-    order = np.lexsort((key[facet], row))
-    row, first = np.unique(row[order], return_index=True)
-    chosen = order[first]
-    on = kind.overshoot(xi[chosen]) <= END_TOLERANCE
-    found[row[on]] = facet[chosen[on]]
-    where[row[on]] = xi[chosen[on]]
+    outside[rows] = (seen.gap > END_TOLERANCE * seen.size)[closest[first]]
+    seen = seen[seen.facing & ((seen.gap > 0.0) | (~outside[seen.row] & (seen.gap > -depth)))]
+    seen = seen[seen.distance <= seen.least(len(points))[seen.row] + TIE * seen.size]
+    # Of facets that meet at an edge, the one that the point is not beyond, however small its neighbour.
+    beyond = kind.overshoot(seen.xi) > END_TOLERANCE
+    order = np.lexsort((key[seen.facet], beyond, seen.row))
+    rows, first = np.unique(seen.row[order], return_index=True)
+    chosen = order[first][~beyond[order[first]]]
+    found[seen.row[chosen]] = seen.facet[chosen]
+    where[seen.row[chosen]] = seen.xi[chosen]
     return found, where
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """Pairs (row of a point, facet): closest point, gap, distance to the facet itself, its size, whether it faces."""
+
+    row: NDArray[np.int64]
+    facet: NDArray[np.int64]
+    xi: Array
+    gap: Array
+    distance: Array
+    size: Array
+    facing: NDArray[np.bool_]
+
+    def __getitem__(self, pairs: NDArray) -> _Seen:
+        return _Seen(*(getattr(self, name)[pairs] for name in self.__dataclass_fields__))
+
+    def least(self, points: int) -> Array:
+        """Distance of each point to the nearest facet that faces it, inf for none."""
+        least = np.full(points, np.inf)
+        np.minimum.at(least, self.row[self.facing], self.distance[self.facing])
+        return least
+
+
+def _look(
+    kind: FacetKind,
+    points: Array,
+    normals: Array,
+    facets: Array,
+    orientation: Array,
+    row: NDArray[np.int64],
+    facet: NDArray[np.int64],
+) -> _Seen:
+    """What each of these pairs of a point and a facet looks like."""
+    p = project(kind, points[row], facets[facet], orientation[facet])
+    metric = np.einsum("mad,mbd->mab", p.tangents, p.tangents)
+    nearest = np.einsum("mk,mkd->md", kind.shape(kind.clamp(p.xi, metric)), p.nodes)
+    distance = np.linalg.norm(points[row] - nearest, axis=1)
+    size = np.linalg.norm(np.ptp(p.nodes, axis=1), axis=1)
+    facing = np.einsum("md,md->m", p.normal, normals[row]) < FACING
+    return _Seen(row, facet, p.xi, p.gap, distance, size, facing)
+
+
 def brute_force_facets(
-    kind: FacetKind, points: Array, normals: Array, facets: Array, orientation: Array
+    kind: FacetKind,
+    points: Array,
+    normals: Array,
+    facets: Array,
+    orientation: Array,
+    key: NDArray[np.int64],
+    depth: float = np.inf,
 ) -> NDArray[np.int64]:
     """The slow, readable reference of `closest_facets`: every point against every facet."""
     found = np.full(len(points), -1)
-    m, f = len(points), len(facets)
-    row, facet = np.repeat(np.arange(m), f), np.tile(np.arange(f), m)
-    p = project(kind, points[row], facets[facet], orientation[facet])
-    nearest = np.einsum("mk,mkd->md", kind.shape(kind.clamp(p.xi)), p.nodes)
-    distance = np.linalg.norm(points[row] - nearest, axis=1).reshape(m, f)
-    facing = (np.einsum("md,md->m", p.normal, normals[row]) < FACING).reshape(m, f)
-    gap = p.gap.reshape(m, f)
-    overshoot = kind.overshoot(p.xi).reshape(m, f)
-    size = np.linalg.norm(np.ptp(facets, axis=1), axis=1)
-    for i in range(m):
-        closest = np.lexsort((~facing[i], distance[i]))[0]
-        usable = facing[i] & ((gap[i] > 0.0) | (gap[i, closest] <= END_TOLERANCE * size[closest]))
-        if usable.any():
-            best = np.where(usable, distance[i], np.inf).argmin()
-            found[i] = best if overshoot[i, best] <= END_TOLERANCE else -1
+    every = np.arange(len(facets))
+    for i in range(len(points)):
+        seen = _look(kind, points, normals, facets, orientation, np.full(len(facets), i), every)
+        closest = np.lexsort((~seen.facing, seen.distance))[0]
+        inside = (seen.gap[closest] <= END_TOLERANCE * seen.size[closest]) & (seen.gap > -depth)
+        seen = seen[seen.facing & ((seen.gap > 0.0) | inside)]
+        if len(seen.row):
+            seen = seen[seen.distance <= seen.distance.min() + TIE * seen.size]
+            beyond = kind.overshoot(seen.xi) > END_TOLERANCE
+            best = np.lexsort((key[seen.facet], beyond))[0]
+            found[i] = -1 if beyond[best] else seen.facet[best]
     return found
 
 
@@ -178,16 +220,38 @@ def _size_classes(facets: Array) -> list[tuple[NDArray[np.int64], Array, float]]
     ]
 
 
-def _candidates(kind: FacetKind, points: Array, facets: Array, margin: float) -> tuple[NDArray, NDArray]:
-    """Pairs (point, facet) among which each point's nearest facet is: the nearest centres of every size class."""
+def _candidates(
+    kind: FacetKind, points: Array, facets: Array, margin: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Pairs (point, facet): the nearest centres of every size class.
+
+    And how near (m,) a facet that is left out could be to each point, if the class is full of elongated ones.
+    """
     neighbours = 6 if kind.dim == 1 else 16
-    rows, columns = [], []
+    rows, columns = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    unseen = np.full(len(points), np.inf)
     for members, center, radius in _size_classes(facets):
         count = min(neighbours, len(members))
-        _, index = cKDTree(center).query(points, k=range(1, count + 1), distance_upper_bound=margin + radius)
+        distance, index = cKDTree(center).query(points, k=range(1, count + 1), distance_upper_bound=margin + radius)
         row, column = np.nonzero(index < len(members))
         rows.append(row)
         columns.append(members[index[row, column]])
-    if not rows:
-        return np.zeros(0, int), np.zeros(0, int)
-    return np.concatenate(rows), np.concatenate(columns)
+        if count < len(members):
+            unseen = np.minimum(unseen, distance[:, -1] - radius)
+    return np.concatenate(rows), np.concatenate(columns), unseen
+
+
+def _all_within(points: Array, facets: Array, distance: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """All pairs (point, facet) that may be within a distance (m,) of each other."""
+    rows, columns = [], []
+    for members, center, radius in _size_classes(facets):
+        near = cKDTree(center).query_ball_point(points, distance + radius)
+        rows.append(np.repeat(np.arange(len(points)), [len(n) for n in near]))
+        columns.append(members[np.concatenate(near).astype(np.int64)])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    # A sphere around an elongated facet holds many of its neighbours, the box around it few.
+    low, high = facets.min(axis=1), facets.max(axis=1)
+    bulge = BULGE * (high - low).max(axis=1, keepdims=True)
+    off = np.maximum(low[column] - points[row], points[row] - high[column]) - bulge[column]
+    within = np.linalg.norm(np.maximum(off, 0.0), axis=1) <= distance[row]
+    return row[within], column[within]

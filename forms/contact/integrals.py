@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 class SlavePoints:
     """Integration points of a slave surface: facet (m,), xi (m, t), shape (m, n), weight (m,) in um2 (2D: um).
 
-    place (m,) numbers the points within their facet.
+    place (m,) numbers the points within their facet; area (m,) is the area that belongs to each, which is its weight
+    unless the weights are unit ones.
     """
 
     facet: NDArray[np.int64]
@@ -29,6 +30,7 @@ class SlavePoints:
     xi: Array
     shape: Array
     weight: Array
+    area: Array
 
 
 def _surface_metric(kind: FacetKind, xi: Array, nodes: Array) -> Array:
@@ -40,7 +42,8 @@ def _surface_metric(kind: FacetKind, xi: Array, nodes: Array) -> Array:
 def quadrature_points(kind: FacetKind, nodes: Array) -> SlavePoints:
     """Gauss points of each facet with reference coordinates `nodes` (facets, n, d)."""
     xi, weight = kind.quadrature()
-    return _points(kind, xi, _surface_metric(kind, xi, nodes) * weight)
+    area = _surface_metric(kind, xi, nodes) * weight
+    return _points(kind, xi, area, area)
 
 
 def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = None) -> SlavePoints:
@@ -48,20 +51,23 @@ def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = Non
 
     A node appears once for each of its facets, with its share. `multiplicity` (facets, n), the number of facets that
     share each node, asks for unit weights instead: one spring a node, whatever its area, as Maruccio et al. (2020)
-    print it.
+    print it. The integral of N_i vanishes at the corners of 6-node triangles, which would then carry nothing: there
+    the area is shared in proportion to the integral of N_i^2 (Hinton, Rock and Zienkiewicz 1976).
     """
-    if multiplicity is not None:
-        return _points(kind, kind.nodes, 1.0 / multiplicity)
     xi, weight = kind.quadrature()
     area = _surface_metric(kind, xi, nodes) * weight
-    return _points(kind, kind.nodes, area @ kind.shape(xi))
+    share = area @ kind.shape(xi)
+    if kind.name == "tri6":
+        squares = area @ kind.shape(xi) ** 2
+        share = squares * (area.sum(axis=1) / squares.sum(axis=1))[:, None]
+    return _points(kind, kind.nodes, share, share if multiplicity is None else 1.0 / multiplicity)
 
 
-def _points(kind: FacetKind, xi: Array, weight: Array) -> SlavePoints:
+def _points(kind: FacetKind, xi: Array, area: Array, weight: Array) -> SlavePoints:
     facets, places = weight.shape
     facet = np.repeat(np.arange(facets), places)
     place = np.tile(np.arange(places), facets)
-    return SlavePoints(facet, place, xi[place], kind.shape(xi)[place], weight.ravel())
+    return SlavePoints(facet, place, xi[place], kind.shape(xi)[place], weight.ravel(), area.ravel())
 
 
 def contact_vectors(

@@ -38,9 +38,9 @@ class History:
         """A history of its own."""
         return History(self.touched.copy(), self.opening.copy())
 
-    def advanced(self, gap: Array) -> History:
-        """The history after a converged step that ended at this gap."""
-        touched = self.touched | (gap <= 0.0)
+    def advanced(self, gap: Array, touching: Array) -> History:
+        """The history after a converged step that ended at this gap, `touching` (m,) at its end or not."""
+        touched = self.touched | touching
         return History(touched, np.where(touched, np.maximum(self.opening, gap), 0.0))
 
 
@@ -168,6 +168,19 @@ class InterfaceLaw:
         if self.adhesion is None:
             return np.zeros(len(self.penalty), bool)
         return history.touched & (history.opening < self.adhesion.final)
+
+    def touching(self, gap: Array) -> NDArray[np.bool_]:
+        """Points that touch at this gap: closed or, with adhesion that always attracts, within the elastic opening."""
+        if self.adhesion is not None and self.adhesion.always:
+            return gap <= self.adhesion.elastic
+        return gap <= 0.0
+
+    def lost(self, history: History) -> History:
+        """History of points that no longer meet the other surface: what was bonded is torn."""
+        if self.adhesion is None:
+            return history
+        torn = np.maximum(history.opening, 2.0 * self.adhesion.final)
+        return History(history.touched, np.where(history.touched, torn, history.opening))
 
     def status(self, gap: Array, history: History) -> NDArray[np.int8]:
         """0 apart, 1 touching, 2 bonded in tension, 3 broken."""
