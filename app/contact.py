@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 log = logging.getLogger("piezomat")
 
+# Points that meet nothing are looked at again once a surface has moved by this share of a facet since the last time.
+DRIFT = 0.05
 # A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
 # the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
 KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
@@ -129,7 +131,8 @@ class Contact:
         self.nodes = np.unique(np.concatenate(needed)) if needed else np.zeros(0, np.int64)
         self._scatter(state)
         values = self._gather(state)
-        self._paired_at = values[:, : self.dim].copy()
+        self._paired_at = self._searched_at = values[:, : self.dim].copy()
+        self._searched = False
         position = self._reference + values[:, : self.dim]
         for p in self.passes:
             p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
@@ -149,8 +152,13 @@ class Contact:
         """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer."""
         values = self._gather(state)
         position = self._reference + values[:, : self.dim]
-        moved = np.abs(values[:, : self.dim] - self._paired_at).max(initial=0.0)
-        self.outgrown = self.comm.allreduce(float(moved), op=MPI.MAX) > 0.5 * self.margin
+        displacement = values[:, : self.dim]
+        motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
+        moved, drift = reductions.largest(self.comm, np.array(motions))
+        self.outgrown = moved > 0.5 * self.margin
+        self._search = not self._searched or drift > DRIFT * self._facet
+        if self._search:
+            self._searched, self._searched_at = True, displacement.copy()
         potentials = values[:, self.dim] if self.potential_scale is not None else None
         try:
             terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
@@ -288,8 +296,8 @@ class Contact:
     def _partners(self, p: ContactPass, points: Array, position: Array) -> None:
         """Keep each point's master facet as long as it projects onto it, and search for the others."""
         kind = p.slave.kind
-        lost = p.facet < 0
-        have = np.flatnonzero(~lost)
+        lost = (p.facet < 0) & self._search
+        have = np.flatnonzero(p.facet >= 0)
         if len(have):
             facet = p.facet[have]
             nodes = position[p.master_nodes[facet]]

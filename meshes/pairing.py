@@ -18,6 +18,7 @@ BOX_FACETS = 64  # facets in a box of the coarse search
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
 FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other
 BULGE = 0.1  # how far a curved facet may reach out of the box of its nodes, in its length
+SEARCH_ITERATIONS = 6  # to the closest point of a curved facet: enough where the point is over the facet
 TIE = 1e-9  # facets equally near within this share of their size are told apart by their key
 
 
@@ -167,7 +168,7 @@ def _look(
     facet: NDArray[np.int64],
 ) -> _Seen:
     """What each of these pairs of a point and a facet looks like."""
-    p = project(kind, points[row], facets[facet], orientation[facet])
+    p = project(kind, points[row], facets[facet], orientation[facet], iterations=SEARCH_ITERATIONS)
     metric = np.einsum("mad,mbd->mab", p.tangents, p.tangents)
     nearest = np.einsum("mk,mkd->md", kind.shape(kind.clamp(p.xi, metric)), p.nodes)
     distance = np.linalg.norm(points[row] - nearest, axis=1)

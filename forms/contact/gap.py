@@ -68,15 +68,22 @@ def facet_normal(tangents: Array, orientation: Array) -> Array:
     return normal * (orientation / np.linalg.norm(normal, axis=1))[:, None]
 
 
-def project(kind: FacetKind, points: Array, nodes: Array, orientation: Array, xi: Array | None = None) -> Projection:
+def project(
+    kind: FacetKind,
+    points: Array,
+    nodes: Array,
+    orientation: Array,
+    xi: Array | None = None,
+    iterations: int = CURVED_ITERATIONS,
+) -> Projection:
     """Closest points of `points` (m, d) on facets with current `nodes` (m, n, d), not limited to the facet.
 
     `xi` starts the iteration on curved facets (default: the middle). Newton's method on the squared distance, with
-    the curvature term left out where it would lose the minimum.
+    the curvature term left out where it would lose the minimum; `iterations` bounds it.
     """
     xi = np.tile(_middle(kind), (len(points), 1)) if xi is None else np.array(xi, float)
     active = np.arange(len(points))
-    for _ in range(1 if kind.affine else CURVED_ITERATIONS):
+    for _ in range(1 if kind.affine else iterations):
         if not len(active):
             break
         here, facets = xi[active], nodes[active]
@@ -86,7 +93,7 @@ def project(kind: FacetKind, points: Array, nodes: Array, orientation: Array, xi
         matrix = np.einsum("mad,mbd->mab", tangents, tangents)
         if not kind.affine:
             full = matrix - np.einsum("mabd,md->mab", _hessian(kind, here, facets), away)
-            safe = np.linalg.eigvalsh(full)[:, 0] > 0.1 * np.linalg.eigvalsh(matrix)[:, 0]
+            safe = _least_eigenvalue(full) > 0.1 * _least_eigenvalue(matrix)
             matrix[safe] = full[safe]
         step = np.linalg.solve(matrix, slope[..., None])[..., 0]
         length = np.abs(step).max(axis=1)
@@ -102,6 +109,14 @@ def project(kind: FacetKind, points: Array, nodes: Array, orientation: Array, xi
         second = _hessian(kind, xi, nodes)
     curvature = np.einsum("mabd,md->mab", second, normal)
     return Projection(nodes, xi, gap, normal, tangents, second, curvature)
+
+
+def _least_eigenvalue(matrix: Array) -> Array:
+    """Of symmetric matrices (m, 1, 1) or (m, 2, 2)."""
+    if matrix.shape[1] == 1:
+        return matrix[:, 0, 0]
+    half = 0.5 * (matrix[:, 0, 0] + matrix[:, 1, 1])
+    return half - np.hypot(0.5 * (matrix[:, 0, 0] - matrix[:, 1, 1]), matrix[:, 0, 1])
 
 
 def _middle(kind: FacetKind) -> Array:
