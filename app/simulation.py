@@ -95,6 +95,7 @@ def run(
             session.march(stop)
         finally:
             session.close()
+            newton.close()
     return Run(session.history, model, problem, bodies)
 
 

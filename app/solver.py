@@ -86,6 +86,12 @@ class Newton:
         self._split_fields()
         self.snes.setFromOptions()
 
+    def close(self) -> None:
+        """Take this solver's options out of PETSc's database, which holds 512 at most. Not collective."""
+        options = PETSc.Options()
+        for name in self._options:
+            options.delValue(name)
+
     def solve(self, margin: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
 
@@ -313,8 +319,9 @@ class Newton:
                 "ksp_max_it": 1000,
             }
             chosen |= self._multigrid()
-        for name, value in {**chosen, **self.keys.petsc}.items():
-            options[self._prefix + name] = value
+        self._options = {self._prefix + name: value for name, value in {**chosen, **self.keys.petsc}.items()}
+        for name, value in self._options.items():
+            options[name] = value
 
     def _multigrid(self) -> dict[str, Any]:
         """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""

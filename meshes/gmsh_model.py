@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -78,7 +80,7 @@ def session(name: str = "piezomat") -> Iterator[None]:
     """
     opened = not gmsh.isInitialized()
     if opened:
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        _initialize()
     before = "" if opened else gmsh.model.getCurrent()
     options = {option: gmsh.option.getNumber(option) for option in _OPTIONS}
     for option, value in _OPTIONS.items():
@@ -94,6 +96,17 @@ def session(name: str = "piezomat") -> Iterator[None]:
             gmsh.model.setCurrent(before)
             for option, value in options.items():
                 gmsh.option.setNumber(option, value)
+
+
+def _initialize() -> None:
+    """Open gmsh without letting it take over signals: the first time it sets them to the system's defaults."""
+    handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    if threading.current_thread() is not threading.main_thread():
+        return  # Python sets handlers in the main thread alone
+    for number, handler in handlers.items():
+        if handler is not None and handler != signal.SIG_DFL:
+            signal.signal(number, handler)
 
 
 def add_groups(dim: int, groups: dict[str, list[int]]) -> None:

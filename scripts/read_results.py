@@ -1,22 +1,23 @@
 """Reads the results of a run with pyvista and matplotlib alone, prints a few numbers and draws one picture.
 
-    scripts/run two_fibers_2d --out results                  any scene, whose `fields` are not "none"
-    .venv/bin/python scripts/read_results.py results         writes results/read_results.png
+    scripts/run fibers_2d                                            any scene, whose output.fields is not "none"
+    .venv/bin/python scripts/read_results.py results/fibers_2d       writes results/fibers_2d/read_results.png
+    .venv/bin/python scripts/read_results.py results/fibers_2d --step 44
 
 It is meant to be copied and changed: it needs nothing of piezomat, and shows where each result is found.
 
-- history.csv has a row a load step. Column `contact_force_z@lower-upper` is the force on "lower" in uN (in
-  2D uN a um of depth), `mean_potential@top` a potential in V, `factor:press` a load factor.
-- fields.pvd names the files of all steps and of all ranks. In them, at the points: displacement (um),
-  potential (V); in the cells: stress (MPa, order 11 22 33 23 13 12), electric_field (V/um),
-  electric_displacement (pC/um2), body. What is electric is there only if something in the scene has a
-  permittivity.
-- contact.pvd does so for the contact points, at their places in the deformed state: gap (um), pressure
-  (MPa), normal, potential_jump (V), status (0 apart, 1 touching, 2 bonded, 3 broken), pair.
+- history.csv has a row a load step. Column `contact_force_z@lower-upper` is the force on "lower" in uN (2D: uN a um of
+  depth), `mean_potential@top` a potential in V, `factor:press` a load factor.
+- fields.pvd names the files of all steps and of all ranks. In them, at the points: displacement (um), potential (V); in
+  the cells: stress (MPa, order 11 22 33 23 13 12), electric_field (V/um), electric_displacement (pC/um2), body. What is
+  electric is there only if something in the scene has a permittivity.
+- contact.pvd does so for the contact points, at their places in the deformed state: gap (um), pressure (MPa), normal,
+  potential_jump (V), status (0 apart, 1 touching, 2 bonded, 3 broken), pair.
 
-The picture: the bodies where they have moved to, coloured by the strength of the electric field (where
-nothing is electric, by the stress along the last axis), on them the points that touch, and the energy over
-the load steps.
+The step shown is the last one with fields, or the one with the largest contact force if nothing touches in the end.
+
+The picture: the bodies where they have moved to, coloured by the strength of the electric field (where nothing is
+electric, by the stress along the last axis), on them the points that touch, and the energy over the load steps.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from vtkmodules.vtkCommonCore import vtkLogger
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import MaxNLocator
 
 
 def read_history(path: Path) -> dict[str, np.ndarray]:
@@ -41,22 +43,36 @@ def read_history(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def read_last(path: Path) -> list[pyvista.DataSet]:
-    """What each rank wrote of the last step named in a .pvd file."""
+def steps_with_fields(path: Path) -> list[int]:
+    """The load steps that a .pvd file names: a step's time is its number."""
+    return [round(time) for time in pyvista.PVDReader(str(path)).time_values]
+
+
+def read_step(path: Path, step: int) -> list[pyvista.DataSet]:
+    """What each rank wrote of a step, from a .pvd file."""
     reader = pyvista.PVDReader(str(path))
-    reader.set_active_time_value(reader.time_values[-1])
+    reader.set_active_time_value(float(step))
     return [part for part in reader.read() if part.n_points]
 
 
-def print_numbers(history: dict[str, np.ndarray], bodies: list[pyvista.DataSet], contact: list) -> None:
-    """A few numbers of the run."""
+def telling_step(history: dict[str, np.ndarray], steps: list[int]) -> int:
+    """The last of the steps, or where no contact force is left then, the one with the largest."""
+    rows = [int(np.flatnonzero(history["step"] == step)[0]) for step in steps]
+    forces = [np.abs(values[rows]) for name, values in history.items() if name.startswith("contact_force_")]
+    if not forces:
+        return steps[-1]
+    force = np.max(forces, axis=0)
+    return steps[-1] if force[-1] > 1e-6 * force.max() else steps[int(force.argmax())]
+
+
+def print_numbers(history: dict[str, np.ndarray], step: int, bodies: list, contact: list) -> None:
+    """A few numbers of the run and of the step that is shown."""
     print(f"{len(history['step'])} load steps")
     for name, values in history.items():
         if name.startswith(("contact_force_", "max_pressure@", "max_potential_jump@", "mean_potential@")):
             at = int(np.argmax(np.abs(values)))
-            step = int(history["step"][at])
-            print(f"  {name:40s} last {values[-1]:12.5g}   largest {values[at]:12.5g} in step {step}")
-    print("last step with fields")
+            print(f"  {name:40s} last {values[-1]:12.5g}   largest {values[at]:12.5g} in step {history['step'][at]:g}")
+    print(f"step {step}")
     moved = max(float(np.linalg.norm(part["displacement"], axis=1).max()) for part in bodies)
     print(f"  largest displacement {moved:.5g} um")
     if all("potential" in part.point_data for part in bodies):
@@ -112,6 +128,7 @@ def main() -> None:
     """Read, print, draw."""
     parser = argparse.ArgumentParser(description="Reads the results of a run, prints numbers, draws a picture.")
     parser.add_argument("results", type=Path, help="the folder of the run")
+    parser.add_argument("--step", type=int, help="the load step to show (default: see above)")
     parser.add_argument("--out", type=Path, help="the picture (default: read_results.png in that folder)")
     arguments = parser.parse_args()
     folder = arguments.results
@@ -120,21 +137,26 @@ def main() -> None:
             parser.error(f'{folder} has no {name}: give the folder of a run whose output.fields is not "none"')
 
     history = read_history(folder / "history.csv")
-    bodies = read_last(folder / "fields.pvd")
-    contact = read_last(folder / "contact.pvd") if (folder / "contact.pvd").is_file() else []
-    print_numbers(history, bodies, contact)
+    steps = steps_with_fields(folder / "fields.pvd")
+    step = telling_step(history, steps) if arguments.step is None else arguments.step
+    if step not in steps:
+        parser.error(f"no fields of step {step}; there are those of {', '.join(map(str, steps))}")
+    bodies = read_step(folder / "fields.pvd", step)
+    contact = read_step(folder / "contact.pvd", step) if (folder / "contact.pvd").is_file() else []
+    print_numbers(history, step, bodies, contact)
 
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # VTK warns that there is no screen; it needs none
     image, label, limits = image_of(bodies, contact)
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
     left.imshow(image)
     left.set_axis_off()
-    left.set_title("Deformed bodies; red: where they touch")
+    left.set_title(f"Deformed bodies in step {step}" + ("; red: where they touch" if contact else ""))
     colours = plt.cm.ScalarMappable(plt.Normalize(*limits), "viridis")
     figure.colorbar(colours, ax=left, label=label)
     for name in ("elastic", "electric", "contact", "adhesion", "external_work", "dissipated"):
         if np.abs(history.get(name, np.zeros(1))).max() > 0:
             right.plot(history["step"], history[name], "o-", markersize=4, label=name.replace("_", " "))
+    right.xaxis.set_major_locator(MaxNLocator(integer=True))
     right.set_xlabel("load step")
     right.set_ylabel("energy (pJ; pJ/um in 2D)")
     right.set_title("Energy over the load steps")

@@ -16,6 +16,8 @@ from forms.contact.laws import Response
 
 Array = NDArray[np.float64]
 
+NO_AREA = 0.01  # share of a facet's area below which a node has none, and is no point
+
 
 @dataclass(frozen=True)
 class SlavePoints:
@@ -51,15 +53,13 @@ def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = Non
 
     A node appears once for each of its facets, with its share. `multiplicity` (facets, n), the number of facets that
     share each node, asks for unit weights instead: one spring a node, whatever its area, as Maruccio et al. (2020)
-    print it. The integral of N_i vanishes at the corners of 6-node triangles, which would then carry nothing: there
-    the area is shared in proportion to the integral of N_i^2 (Hinton, Rock and Zienkiewicz 1976).
+    print it. At the corners of 6-node triangles the integral of N_i vanishes: the nodes of the sides alone are points.
     """
     xi, weight = kind.quadrature()
     area = _surface_metric(kind, xi, nodes) * weight
     share = area @ kind.shape(xi)
-    if kind.name == "tri6":
-        squares = area @ kind.shape(xi) ** 2
-        share = squares * (area.sum(axis=1) / squares.sum(axis=1))[:, None]
+    share[share < NO_AREA * area.sum(axis=1, keepdims=True)] = 0.0
+    share *= area.sum(axis=1, keepdims=True) / share.sum(axis=1, keepdims=True)
     return _points(kind, kind.nodes, share, share if multiplicity is None else 1.0 / multiplicity)
 
 
@@ -67,7 +67,10 @@ def _points(kind: FacetKind, xi: Array, area: Array, weight: Array) -> SlavePoin
     facets, places = weight.shape
     facet = np.repeat(np.arange(facets), places)
     place = np.tile(np.arange(places), facets)
-    return SlavePoints(facet, place, xi[place], kind.shape(xi)[place], weight.ravel(), area.ravel())
+    area, weight = area.ravel(), weight.ravel()
+    used = area > 0.0
+    facet, place = facet[used], place[used]
+    return SlavePoints(facet, place, xi[place], kind.shape(xi)[place], weight[used], area[used])
 
 
 def contact_vectors(

@@ -191,7 +191,8 @@ class InterfaceLaw:
 
     def respond(self, gap: Array, jump: Array | None, history: History) -> Response:
         """Response at gaps (m,) and, with an electric penalty, potential jumps (m,) in V."""
-        pressed = gap < 0.0
+        # At gap 0 the curvature is that of pressing: bodies that start in touch are most often pressed together.
+        pressed = gap <= 0.0
         slope = np.where(pressed, self.penalty * gap, 0.0)
         curvature = np.where(pressed, self.penalty, 0.0)
         contact = 0.5 * slope * np.minimum(gap, 0.0)

@@ -1,0 +1,135 @@
+"""Small scenes that several tests of the whole program share, and the meshes that no built-in shape gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+from numpy.typing import NDArray
+
+from app.scene import Scene
+from app.simulation import Run
+
+Array = NDArray[np.float64]
+
+
+def press(geometry: dict[str, Any], **sections: Any) -> Scene:
+    """A scene of these sections, without pictures; one step unless `load` says otherwise."""
+    return Scene(**{"geometry": geometry, "output": {"fields": "none", "picture": False}, **sections})
+
+
+def along(value: float, dimension: int) -> list[Any]:
+    """A displacement that prescribes the last component alone."""
+    return [*["free"] * (dimension - 1), value]
+
+
+def rollers(fixed: dict[str, int], dimension: int) -> list[dict[str, Any]]:
+    """Rows that hold one component (number) of the displacement on each of some groups."""
+    return [{"on": on, "displacement": [0 if i == k else "free" for i in range(dimension)]} for on, k in fixed.items()]
+
+
+class Points:
+    """Pressure, weight and position of all contact points that met a facet, at the end of a serial run."""
+
+    def __init__(self, finished: Run) -> None:
+        pressure, weight, place = [], [], []
+        for p in finished.problem.contact.passes:
+            shape = p.master.kind.shape(p.projection.xi)
+            place.append(np.einsum("mk,mkd->md", shape, p.projection.nodes))
+            pressure.append(np.maximum(-p.response.slope, 0.0))
+            weight.append(p.share * p.points.weight[p.rows[p.met]])
+        self.pressure, self.weight = np.concatenate(pressure), np.concatenate(weight)
+        self.place = np.concatenate(place)
+
+    @property
+    def force(self) -> float:
+        """Integral of the pressure, uN (2D: uN/um)."""
+        return float(self.weight @ self.pressure)
+
+    def spread(self, axes: Sequence[int]) -> float:
+        """Mean square distance from the origin, weighted with the pressure, um2."""
+        square = (self.place[:, list(axes)] ** 2).sum(axis=1)
+        return float(self.weight @ (self.pressure * square)) / self.force
+
+
+def quarter_of_crossed_fibers(path: Path, *, size: float, radius: float, near: float, growth: float) -> None:
+    """A quarter (x > 0, y > 0) of two crossed half cylinders that touch at the origin, tetrahedra of order 2.
+
+    Cells of `size` within `near` of the origin, then growing with the distance. Groups: bodies lower (along x)
+    and upper (along y); bottom, top, x_cut, y_cut, lower_contact, upper_contact, lower_ends, upper_ends.
+    """
+
+    def build() -> None:
+        occ = gmsh.model.occ
+        facets: dict[str, list[int]] = {}
+        for body, s, axis in (("lower", -1.0, (radius, 0.0)), ("upper", 1.0, (0.0, radius))):
+            whole = occ.addCylinder(0.0, 0.0, s * radius, *axis, 0.0, radius)
+            box = occ.addBox(0.0, 0.0, min(0.0, s * radius), radius, radius, radius)
+            volume = occ.intersect([(3, whole)], [(3, box)])[0][0][1]
+            occ.synchronize()
+            gmsh.model.addPhysicalGroup(3, [volume], name=body)
+            for _, face in gmsh.model.getBoundary([(3, volume)], oriented=False):
+                box_of_face = np.reshape(gmsh.model.getBoundingBox(2, face), (2, 3))
+                flat = np.flatnonzero(np.ptp(box_of_face, axis=0) < 1e-5 * radius)
+                name = f"{body}_contact"
+                if len(flat):
+                    at_origin = abs(box_of_face[0, flat[0]]) < 1e-5 * radius
+                    cuts = ("x_cut", "y_cut") if at_origin else (f"{body}_ends",) * 2
+                    name = (*cuts, "bottom" if s < 0 else "top")[flat[0]]
+                facets.setdefault(name, []).append(face)
+        for name, faces in facets.items():
+            gmsh.model.addPhysicalGroup(2, faces, name=name)
+        _mesh(3, f"Min({0.4 * radius}, {size}+{growth}*Max(0,Sqrt(x^2+y^2+z^2)-{near}))", order=2)
+
+    _write(path, build)
+
+
+def half_of_facing_halves(path: Path, *, size: float, radius: float, near: float, growth: float) -> None:
+    """The half x > 0 of two facing half discs that touch at the origin, triangles of order 1.
+
+    Facets of `size` within `near` of the origin, cells growing with the distance from them. Groups: bodies lower
+    and upper; bottom, top, axis, lower_contact, upper_contact.
+    """
+
+    def build() -> None:
+        occ = gmsh.model.occ
+        axes = []
+        for body, s in (("lower", -1.0), ("upper", 1.0)):
+            center, apex, end = (occ.addPoint(*p, 0.0) for p in ((0.0, s * radius), (0.0, 0.0), (radius, s * radius)))
+            curve, flat = occ.addCircleArc(apex, center, end), occ.addLine(end, center)
+            axes.append(occ.addLine(center, apex))
+            face = occ.addPlaneSurface([occ.addCurveLoop([curve, flat, axes[-1]])])
+            occ.synchronize()
+            gmsh.model.addPhysicalGroup(2, [face], name=body)
+            gmsh.model.addPhysicalGroup(1, [curve], name=f"{body}_contact")
+            gmsh.model.addPhysicalGroup(1, [flat], name="bottom" if s < 0 else "top")
+        gmsh.model.addPhysicalGroup(1, axes, name="axis")
+        _mesh(2, f"Min({0.25 * radius}, {size}+{growth}*(Max(0,Fabs(x)-{near})+Fabs(y)))", order=1)
+
+    _write(path, build)
+
+
+def _mesh(dimension: int, size: str, order: int) -> None:
+    field = gmsh.model.mesh.field
+    number = field.add("MathEval")
+    field.setString(number, "F", size)
+    field.setAsBackgroundMesh(number)
+    for option in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+        gmsh.option.setNumber(f"Mesh.MeshSize{option}", 0)
+    gmsh.model.mesh.generate(dimension)
+    gmsh.model.mesh.setOrder(order)
+    if order > 1:
+        gmsh.model.mesh.optimize("HighOrder")
+
+
+def _write(path: Path, build: Callable[[], None]) -> None:
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        build()
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
