@@ -16,8 +16,6 @@ from forms.contact.laws import Response
 
 Array = NDArray[np.float64]
 
-NO_AREA = 0.01  # share of a facet's area below which a node has none, and is no point
-
 
 @dataclass(frozen=True)
 class SlavePoints:
@@ -58,8 +56,9 @@ def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = Non
     xi, weight = kind.quadrature()
     area = _surface_metric(kind, xi, nodes) * weight
     share = area @ kind.shape(xi)
-    share[share < NO_AREA * area.sum(axis=1, keepdims=True)] = 0.0
-    share *= area.sum(axis=1, keepdims=True) / share.sum(axis=1, keepdims=True)
+    if kind.name == "tri6":
+        share[:, :3] = 0.0
+        share *= area.sum(axis=1, keepdims=True) / share.sum(axis=1, keepdims=True)
     return _points(kind, kind.nodes, share, share if multiplicity is None else 1.0 / multiplicity)
 
 
