@@ -32,7 +32,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     comm = MPI.COMM_WORLD
     options: Any = None
     # What a run logs is in its log.txt; the terminal gets progress and the last word.
-    logging.getLogger("piezomat").propagate = False
+    logger = logging.getLogger("piezomat")
+    logger.propagate = False
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())  # without any, the ranks that keep no log would print errors
     try:
         options = on_root(comm, lambda: _parse(argv))
         return options if isinstance(options, int) else _COMMANDS[options.command](options, comm)

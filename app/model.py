@@ -266,7 +266,7 @@ class Model:
         held[self.fixed] = True
         held = held.reshape(owned, self.block)
         rows = modes * held[:, :d, None]
-        gram = self._sum_by_part(part, np.einsum("ndr,nds->nrs", rows, rows).reshape(owned, -1))
+        gram = self._sum_by_part(part, np.einsum("ndr,nds->nrs", rows, rows).reshape(owned, modes.shape[2] ** 2))
         gram = gram.reshape(parts, modes.shape[2], -1)
         eigenvalues = np.linalg.eigvalsh(gram)
         floating = np.zeros((parts, 2), bool)

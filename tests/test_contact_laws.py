@@ -218,6 +218,7 @@ def test_pressure_is_the_penalty_times_the_penetration() -> None:
         for touched in (False, True):
             r = law.respond(gap, None, History(np.full(4, touched), np.zeros(4)))
             np.testing.assert_allclose(r.slope[:3], PENALTY * gap[:3], atol=1e-12)
+            np.testing.assert_allclose(r.curvature[:3], PENALTY, rtol=1e-14)  # bodies that touch resist at once
             np.testing.assert_allclose(r.contact, 0.5 * PENALTY * np.minimum(gap, 0.0) ** 2, atol=1e-15)
             pulls = kind != "unilateral" and (touched or always)
             assert r.slope[3] == pytest.approx(PENALTY * gap[3] if pulls else 0.0, rel=1e-13)
@@ -370,7 +371,7 @@ def test_status_and_bonds(kind: str, always: bool) -> None:
 def test_nothing_answers_beyond_the_reach(kind: str, always: bool) -> None:
     for electric in (False, True):
         law = interface(kind, always, electric=electric)
-        far = np.array([law.reach * (1.0 + 1e-12)])
+        far = np.array([law.reach + 1e-14])
         if kind == "unilateral":
             assert law.reach == (FADE if electric else 0.0)
         for touched in (False, True):
