@@ -16,7 +16,7 @@ from app import reductions
 from forms.contact.facets import FacetKind
 from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints, contact_vectors
-from forms.contact.laws import History, InterfaceLaw, Response
+from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from meshes.overlap import deepest_overlap
 from meshes.pairing import VisibleFacets, closest_facets, near_points, point_normals, share_facets
 from meshes.surface import Surface
@@ -52,6 +52,7 @@ class ContactPass:
     size: Array
     depth: float
     history: History = field(init=False)
+    drag: Drag = field(init=False)
     visible: VisibleFacets = field(init=False)
     rows: NDArray[np.int64] = field(init=False)
     facet: NDArray[np.int64] = field(init=False)
@@ -66,6 +67,7 @@ class ContactPass:
 
     def __post_init__(self) -> None:
         self.history = History.virgin(len(self.points.weight))
+        self.drag = Drag.none(len(self.points.weight))
 
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
@@ -105,9 +107,12 @@ class Contact:
         self.broken = False
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
+        self._dragged = False
         sizes = [np.log(p.size) for p in self.passes]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
+        self.drag_work = 0.0  # done against the drag in the last converged part of a step, pJ
+        self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self._facet = float(np.exp(total[0] / total[1]))
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.passes), op=MPI.MAX)
         self.reach = comm.allreduce(max(p.law.reach for p in self.passes), op=MPI.MAX)
@@ -204,15 +209,48 @@ class Contact:
         self._local.array[:] = local.ravel()
         self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
 
+    def hold_back(self, share: float) -> None:
+        """Let bonds resist their opening from the last evaluation on, `share` times as stiffly as they soften at most.
+
+        With a share of 1 no point of the interface softens, and a part of a step has one solution.
+        """
+        self._dragged = True
+        for p in self.passes:
+            if p.law.adhesion is None:
+                continue
+            rows = p.rows[p.met]
+            live = p.law.bonded(p.history) | (p.law.adhesion.always & ~p.history.touched)
+            p.drag.start[rows] = p.projection.gap
+            p.drag.stiffness[:] = 0.0
+            p.drag.stiffness[rows] = (share * p.law.adhesion.steepness * live)[rows]
+
+    def let_go(self) -> None:
+        """End `hold_back`."""
+        self._dragged = False
+        for p in self.passes:
+            p.drag = Drag.none(len(p.points.weight))
+
     def commit(self) -> None:
-        """Let the history take in the last evaluation, the end of a converged step."""
+        """Let the history take in the last evaluation, the end of a converged step or of a part of one."""
         self.last_penetration = self.penetration()
+        self.drag_work = self._drag_work() if self._dragged else 0.0
         for p in self.passes:
             near, gap = p.rows[p.met], p.projection.gap
             advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
             p.history = p.law.lost(p.history)
             p.history.touched[near] = advanced.touched
             p.history.opening[near] = advanced.opening
+
+    def _drag_work(self) -> float:
+        """Work against the drag since `hold_back`: mean of its tractions now and at the end of the part before."""
+        work = 0.0
+        for p in self.passes:
+            rows, gap = p.rows[p.met], p.projection.gap
+            traction = p.drag.traction(gap, rows)
+            mean = 0.5 * (traction + p.drag.before[rows])
+            work += float((p.share * p.points.weight[rows]) @ (mean * (gap - p.drag.start[rows])))
+            p.drag.before[rows] = traction
+        return self.comm.allreduce(work, op=MPI.SUM)
 
     def least_margin(self) -> float:
         """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration."""
@@ -270,8 +308,10 @@ class Contact:
         if potentials is not None and law.electric_penalty is not None:
             p.jump = np.einsum("mk,mk->m", shape, potentials[slave])
             p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), potentials[master]))
-        p.response = law.respond(p.projection.gap, p.jump, p.history[rows])
-        r = p.response
+        r = p.response = law.respond(p.projection.gap, p.jump, p.history[rows])
+        if self._dragged:
+            r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
+            r.curvature = r.curvature + p.drag.stiffness[rows]
         active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
         scaled = r
         if p.jump is not None:

@@ -65,6 +65,8 @@ class Balance:
             work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
         self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
         self.stabilization += problem.grounding_work()
+        if problem.contact is not None:
+            self.stabilization += problem.contact.drag_work
         self.forces.array[:] = new.ravel()
 
 

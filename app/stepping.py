@@ -14,6 +14,11 @@ from app.solver import Newton, NewtonReport, SolveError
 
 log = logging.getLogger("piezomat")
 
+SNAP_CUTBACKS = 3  # failures in a row after which bonds are taken to snap
+SNAP_PARTS = 100  # in which they must come to rest
+SNAP_LEVELS, SNAP_FALL = 5, 0.25  # drag falls by this factor so many times before none is tried
+DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
+
 
 @dataclass(frozen=True)
 class Step:
@@ -71,36 +76,86 @@ class Stepper:
 
         Raises SolveError with the reason, the state being that of the last part that converged.
         """
-        problem, report = self.problem, StepReport(0, 0, 0, [])
-        done = 0.0
+        report = StepReport(0, 0, 0, [])
+        done, failures = 0.0, 0
         while done < 1.0:
             target = min(done + self.size, 1.0)
-            factors = step.factors(target)
-            problem.set_loads(factors)
-            margin = self.margin()
-            problem.begin_step(margin)
             try:
-                solve = self.newton.solve(margin)
+                self._part(step.factors(target), committed, report)
             except SolveError as error:
-                problem.start.copy(problem.state)
                 report.cutbacks += 1
-                self.size *= 0.5
-                if self.size < 0.5**self.max_cutbacks:
-                    raise SolveError(
-                        f"step {step.number} failed even in parts of 1/{round(0.5 / self.size)}: {error}"
-                    ) from error
-                log.info("step %d: cut to 1/%d: %s", step.number, round(1.0 / self.size), error)
-                continue
-            report.newton += solve.iterations
-            report.krylov += solve.krylov
-            report.solves.append(solve)
-            done = target
-            self.last_motion = problem.motion()
-            if problem.contact is not None:
-                problem.contact.commit()
-            committed(factors)
+                failures += 1
+                contact = self.problem.contact
+                if failures == SNAP_CUTBACKS and contact is not None and contact.adhesive:
+                    log.info("step %d: bonds snap: %s", step.number, error)
+                    self._snap(step.factors(target), committed, report)
+                else:
+                    self._cut(step, error)
+                    continue
+            done, failures = target, 0
             self.size = min(1.0, 2.0 * self.size)
         return report
+
+    def _part(
+        self,
+        factors: dict[str, float],
+        committed: Callable[[dict[str, float]], None],
+        report: StepReport,
+        drag: float | None = None,
+    ) -> None:
+        """Go from the last converged state to a load level; SolveError, the state being as it was, if that fails."""
+        problem = self.problem
+        problem.set_loads(factors)
+        margin = self.margin()
+        problem.begin_step(margin)
+        if drag is not None:
+            problem.residual(problem.state, problem.state.duplicate())
+            problem.contact.hold_back(drag)
+        try:
+            solve = self.newton.solve(margin)
+        except SolveError:
+            problem.start.copy(problem.state)
+            raise
+        report.newton += solve.iterations
+        report.krylov += solve.krylov
+        report.solves.append(solve)
+        self.last_motion = problem.motion()
+        if problem.contact is not None:
+            problem.contact.commit()
+        committed(factors)
+
+    def _cut(self, step: Step, error: SolveError) -> None:
+        """Halve the share of a step that is tried; SolveError when that has been done often enough."""
+        self.size *= 0.5
+        if self.size < 0.5**self.max_cutbacks:
+            parts = round(0.5 / self.size)
+            raise SolveError(f"step {step.number} failed even in parts of 1/{parts}: {error}") from error
+        log.info("step %d: cut to 1/%d: %s", step.number, round(1.0 / self.size), error)
+
+    def _snap(
+        self, factors: dict[str, float], committed: Callable[[dict[str, float]], None], report: StepReport
+    ) -> None:
+        """Reach a load level where bonds snap, so that there is no equilibrium near the last one.
+
+        They open against a drag that falls from part to part, until what is left is in equilibrium without it.
+        """
+        level = 0
+        try:
+            for _ in range(SNAP_PARTS):
+                free = level == SNAP_LEVELS
+                try:
+                    self._part(factors, committed, report, 0.0 if free else DRAG * SNAP_FALL**level)
+                except SolveError as error:
+                    level -= 2
+                    if level < -SNAP_LEVELS:
+                        raise SolveError(f"bonds snap, and do not come to rest: {error}") from error
+                    continue
+                if free:
+                    return
+                level += 1
+        finally:
+            self.problem.contact.let_go()
+        raise SolveError(f"bonds snap, and do not come to rest in {SNAP_PARTS} parts")
 
     def revisit(self) -> None:
         """Evaluate residual and contact at the present state, as they are at the end of a step."""

@@ -59,7 +59,7 @@ def parallel_fibers(path: Path, size: float, method: str, loads: list[float]) ->
 @pytest.mark.parametrize("method", ["node", "point"])
 def test_equal_fibers_touch_as_hertz_says(tmp_path: Path, method: str) -> None:
     widths, peaks = [], []
-    for size in (0.006, 0.003, 0.0015):
+    for size in (0.004, 0.002, 0.001):
         finished = parallel_fibers(tmp_path / "halves.msh", size, method, [0.25, 1.0])
         np.testing.assert_allclose(-2.0 * column(finished, "contact_force_y"), [0.25, 1.0], rtol=1e-6)
         widths.append(half_width(finished))
@@ -156,11 +156,11 @@ def test_crossed_fibers_press_as_hertz_says(tmp_path: Path) -> None:
         finished = crossed_fibers(tmp_path / "quarter.msh", size)
         force = -4.0 * column(finished, "contact_force_z")
         stiffness, compliance, misfit = separated(force)
-        assert misfit < 0.003
         # Clamped at a distance R, a half space would lack about 2/(pi E* R) of compliance for both.
         assert abs(compliance) < 2.0 / (np.pi * MODULUS * RADIUS)
         radius = np.sqrt(2.5 * Points(finished).spread([0, 1]))  # p0 sqrt(1 - r^2/a^2) has a mean square of 2/5 a^2
         errors.append((stiffness / hertz - 1.0, radius / (0.75 * force[-1] * RADIUS / MODULUS) ** (1.0 / 3.0) - 1.0))
+    assert misfit < 0.002
     coarse, fine = np.abs(errors)
     assert fine[0] < 0.02 and fine[1] < 0.02
     assert (fine < coarse).all()

@@ -82,6 +82,11 @@ class Adhesion:
         """Opening up to which the bond is elastic, um."""
         return self.strength / self.penalty
 
+    @property
+    def steepness(self) -> Array:
+        """How fast the traction falls at most, MPa/um."""
+        return self.strength / np.maximum(self.final - self.plateau, np.finfo(float).tiny)
+
     def __getitem__(self, rows: NDArray) -> Adhesion:
         return Adhesion(self.strength, self.penalty[rows], self.plateau[rows], self.final[rows], self.always)
 
@@ -119,6 +124,28 @@ def _elastic_opening(strength: float, energy: float, penalty: Array) -> Array:
             f"(strength^2 / (2 normal_penalty) = {least:g}): raise normal_penalty or the energy"
         )
     return elastic
+
+
+@dataclass
+class Drag:
+    """Viscous resistance of bonds to opening within one part of a step: stiffness (gap - start), (m,) each.
+
+    start um, stiffness MPa/um; before: its traction at the end of the part before, MPa. Bonds that soften faster than
+    the bodies around them snap; this lets them do so in small parts (Gao and Bower 2004).
+    """
+
+    start: Array
+    stiffness: Array
+    before: Array
+
+    @classmethod
+    def none(cls, points: int) -> Drag:
+        """Drag of points that nothing drags."""
+        return cls(np.zeros(points), np.zeros(points), np.zeros(points))
+
+    def traction(self, gap: Array, rows: NDArray) -> Array:
+        """Traction of some of the points, MPa."""
+        return self.stiffness[rows] * (gap - self.start[rows])
 
 
 @dataclass
