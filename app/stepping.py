@@ -14,9 +14,10 @@ from app.solver import Newton, NewtonReport, SolveError
 
 log = logging.getLogger("piezomat")
 
-SNAP_CUTBACKS = 3  # failures in a row after which bonds are taken to snap
+SNAP_CUTBACKS = 3  # times that a step is halved before bonds are taken to snap
 SNAP_PARTS = 100  # in which they must come to rest
 SNAP_LEVELS, SNAP_FALL = 5, 0.25  # drag falls by this factor so many times before none is tried
+SNAP_WAIT = 3  # parts to go on with a drag after less of it has failed
 DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
 
 
@@ -77,22 +78,20 @@ class Stepper:
         Raises SolveError with the reason, the state being that of the last part that converged.
         """
         report = StepReport(0, 0, 0, [])
-        done, failures = 0.0, 0
+        done = 0.0
         while done < 1.0:
             target = min(done + self.size, 1.0)
             try:
                 self._part(step.factors(target), committed, report)
             except SolveError as error:
                 report.cutbacks += 1
-                failures += 1
                 contact = self.problem.contact
-                if failures == SNAP_CUTBACKS and contact is not None and contact.adhesive:
-                    log.info("step %d: bonds snap: %s", step.number, error)
-                    self._snap(step.factors(target), committed, report)
-                else:
+                if contact is None or not contact.adhesive or self.size > 0.5**SNAP_CUTBACKS:
                     self._cut(step, error)
                     continue
-            done, failures = target, 0
+                log.info("step %d: bonds snap: %s", step.number, error)
+                self._snap(step.factors(target), committed, report)
+            done = target
             self.size = min(1.0, 2.0 * self.size)
         return report
 
@@ -139,20 +138,20 @@ class Stepper:
 
         They open against a drag that falls from part to part, until what is left is in equilibrium without it.
         """
-        level = 0
+        level, wait = 0, 0
         try:
             for _ in range(SNAP_PARTS):
                 free = level == SNAP_LEVELS
                 try:
                     self._part(factors, committed, report, 0.0 if free else DRAG * SNAP_FALL**level)
                 except SolveError as error:
-                    level -= 2
+                    level, wait = level - 1, SNAP_WAIT
                     if level < -SNAP_LEVELS:
                         raise SolveError(f"bonds snap, and do not come to rest: {error}") from error
                     continue
                 if free:
                     return
-                level += 1
+                level, wait = level + (wait == 0), max(wait - 1, 0)
         finally:
             self.problem.contact.let_go()
         raise SolveError(f"bonds snap, and do not come to rest in {SNAP_PARTS} parts")

@@ -1,0 +1,130 @@
+"""Scenes that once gave a wrong answer, or none: a regression test for each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+
+from app.scene import Scene, SceneError
+from app.simulation import NotConverged, run
+
+
+def blocks(**changes: Any) -> Scene:
+    """Two blocks of 1 x 0.5 um on each other, the upper one guided sideways."""
+    keys: dict[str, Any] = {
+        "geometry": {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 3], [4, 4]]},
+        "materials": {"soft": {"young": 1000.0, "poisson": 0.3}},
+        "bodies": {"lower": "soft", "upper": "soft"},
+        "boundaries": [
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, "free"], "traction": [0, -1.0]},
+        ],
+        "contact": {},
+    }
+    return Scene(**{**keys, **changes})
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.01])
+def test_a_traction_presses_a_body_that_only_contact_holds(gap: float) -> None:
+    """The weak springs of the floating block let it fly through the other one."""
+    geometry = {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 3], [4, 4]], "gap": gap}
+    last = run(blocks(geometry=geometry), MPI.COMM_SELF).history[-1]
+    assert last["contact_force_y@lower-upper"] == pytest.approx(-1.0, rel=1e-5)
+    assert last["force_y@bottom"] == pytest.approx(1.0, rel=1e-5)
+
+
+def test_a_load_that_nothing_holds_is_said() -> None:
+    boundaries = [
+        {"on": "bottom", "displacement": [0, 0]},
+        {"on": "top", "displacement": [0, "free"], "traction": [0, 1.0]},
+    ]
+    with pytest.raises(NotConverged, match=r"nothing holds|flies away"):
+        run(blocks(boundaries=boundaries, solver={"max_cutbacks": 1}), MPI.COMM_SELF)
+
+
+def test_finite_kinematics_press_like_small_ones_where_little_moves() -> None:
+    """The line search evaluated its trials in Newton's own state."""
+    forces = []
+    for kinematics in ("small", "finite"):
+        boundaries = [
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, -1e-4]},
+        ]
+        scene = blocks(boundaries=boundaries, model={"kinematics": kinematics})
+        forces.append(run(scene, MPI.COMM_SELF).history[-1]["contact_force_y@lower-upper"])
+    assert forces[1] == pytest.approx(forces[0], rel=1e-3) and forces[0] < -0.05
+
+
+@pytest.mark.parametrize("tilt", [0.0, 30.0])
+def test_a_step_without_any_load_ends_at_once(tilt: float) -> None:
+    """Gaps that are zero but for rounding were held against no force at all."""
+    geometry = {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 3], [4, 4]], "tilt": tilt}
+    boundaries = [{"on": "bottom", "displacement": [0, 0]}, {"on": "top", "displacement": [0, 0]}]
+    last = run(blocks(geometry=geometry, boundaries=boundaries), MPI.COMM_SELF).history[-1]
+    assert abs(last["force_y@top"]) < 1e-8 and last["cutbacks"] == 0
+
+
+def test_a_step_that_changes_nothing_ends_at_once() -> None:
+    boundaries = [
+        {"on": "bottom", "displacement": [0, 0]},
+        {"on": "right", "traction": [1.0, 0.0], "follows": "pull"},
+    ]
+    load = {"steps": [1, 1], "factors": {"pull": [1.0, 1.0]}}
+    geometry = {"shape": "cantilever", "length": 2.0, "layers": [0.5], "divisions": [4, 2]}
+    scene = blocks(
+        geometry=geometry,
+        bodies={"layer_1": "soft"},
+        boundaries=[{**boundaries[0], "on": "root"}, {**boundaries[1], "on": "tip"}],
+        contact=None,
+        load=load,
+    )
+    first, second = run(scene, MPI.COMM_SELF).history
+    assert second["elastic"] == pytest.approx(first["elastic"], rel=1e-12)
+
+
+def test_the_spring_of_a_soft_floating_body_is_soft() -> None:
+    """Springs scaled by the stiffest body held a soft one between two stiff ones: forces did not balance."""
+    scene = blocks(
+        geometry={"shape": "stacked_blocks", "height": [0.5, 0.5, 0.5], "divisions": [[2, 2], [3, 2], [2, 2]]},
+        materials={"steel": {"young": 2e5, "poisson": 0.0}, "soft": {"young": 1.0, "poisson": 0.0}},
+        bodies={"block_1": "steel", "block_2": "soft", "block_3": "steel"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, -0.01]},
+        ],
+    )
+    last = run(scene, MPI.COMM_SELF).history[-1]
+    lower, upper = last["contact_force_y@block_1-block_2"], last["contact_force_y@block_2-block_3"]
+    assert lower == pytest.approx(upper, rel=1e-5) and lower == pytest.approx(-0.02, rel=0.2)
+
+
+def test_a_load_inside_a_body_is_refused() -> None:
+    scene = blocks(
+        geometry={"shape": "cantilever", "length": 2.0, "layers": [0.5, 0.5], "divisions": [4, 2]},
+        bodies={"layer_1": "soft", "layer_2": "soft"},
+        boundaries=[
+            {"on": "root", "displacement": [0, 0]},
+            {"on": "interface_1", "traction": [0, -1.0]},
+        ],
+        contact=None,
+    )
+    with pytest.raises(SceneError, match="inside a body"):
+        run(scene, MPI.COMM_SELF)
+
+
+def test_bonds_tear_where_a_point_leaves_the_surface() -> None:
+    """Slid sideways, the part of the upper block that has left the lower one is no longer bonded."""
+    scene = blocks(
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": ["free", -0.001]},
+            {"on": "top", "displacement": [0.6, "free"], "follows": "slide"},
+        ],
+        contact={"adhesion": {"law": "bilinear", "strength": 1.0, "energy": 0.01}},
+        load={"steps": [1, 12], "factors": {"slide": [0.0, 1.0]}},
+    )
+    history = run(scene, MPI.COMM_SELF).history
+    assert history[0]["bonded_area@lower-upper"] == pytest.approx(1.0, rel=1e-9)
+    assert history[-1]["bonded_area@lower-upper"] < 0.6
