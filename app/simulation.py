@@ -174,11 +174,12 @@ class _Session:
         if self.results is None:
             return
         with self.timer("output"):
-            # The checkpoint holds the history too, so a run killed between the two writes loses nothing.
-            self._save_checkpoint()
-            self.results.row(self.history[-1])
+            # The checkpoint holds the history too and comes after the fields: a run killed between any two of these
+            # writes loses nothing, since it does again what the checkpoint does not know of.
             if self.scene.output.fields == "all":
                 self._write_fields()
+            self._save_checkpoint()
+            self.results.row(self.history[-1])
 
     def _remember(self) -> None:
         """Keep the state at the end of a step: a later step may fail after some of its parts have converged."""
