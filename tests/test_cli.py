@@ -19,6 +19,7 @@ from mpi4py import MPI
 import app
 from app import cli, scene_file
 from app.scene import Scene, SceneError
+from tests.test_malformed import OVERLAPPING, OVERLAPPING_SCENE, SQUARE, SQUARE_SCENE
 
 ROOT = Path(__file__).parent.parent
 
@@ -234,6 +235,69 @@ def test_all_ranks_end_alike(
     out = capfd.readouterr().out
     assert out == ("mesh in halves.msh\n" if comm.rank == 0 else "")
     assert sorted(p.name for p in shared_tmp_path.iterdir()) == ["halves.msh", "halves.toml"]
+
+
+# Mistakes that show only once the mesh is there: on all ranks, or on the one that reads it.
+LATE = {
+    "contact.adhesion.energy": f"{SCENE}contact.adhesion = {{ law = 'bilinear', strength = 50, energy = 1e-9 }}",
+    "contact.adhesion.range": f"{SCENE}contact.adhesion = {{ law = 'cutoff', strength = 50, range = 1e-9 }}",
+    "geometry.file": SQUARE_SCENE,
+    "geometry": OVERLAPPING_SCENE,
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("key", LATE)
+def test_all_ranks_learn_of_a_mistake_that_shows_late(
+    key: str, comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shared_tmp_path)
+    if comm.rank == 0:
+        Path("wrong.toml").write_text(LATE[key], encoding="utf-8")
+        Path("square.msh").write_text(SQUARE.replace("3 1 1 0", "3 0.3 -0.1 0"), encoding="utf-8")
+        Path("overlapping.msh").write_text(OVERLAPPING, encoding="utf-8")
+    comm.Barrier()
+    assert cli.main(["run", "wrong.toml"]) == 2
+    err = capfd.readouterr().err
+    assert (err.startswith(f"wrong.toml: {key}: found ") and err.count("\n") == 1) if comm.rank == 0 else err == ""
+    comm.Barrier()
+    assert sorted(path.name for path in shared_tmp_path.iterdir()) == ["overlapping.msh", "square.msh", "wrong.toml"]
+
+
+@pytest.mark.mpi
+def test_plan_of_a_scene_on_all_ranks(
+    comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shared_tmp_path)
+    if comm.rank == 0:
+        Path("halves.toml").write_text(SCENE, encoding="utf-8")
+    comm.Barrier()
+    assert cli.main(["plan", "halves.toml"]) == 0
+    out, err = capfd.readouterr()
+    assert err == "" and (("Two half discs" in out and "unknowns" in out) if comm.rank == 0 else out == "")
+    assert [path.name for path in shared_tmp_path.iterdir()] == ["halves.toml"]
+
+
+@pytest.mark.mpi
+def test_resume_without_a_checkpoint(
+    comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder with a scene alone is not that of a run; a run killed before its start has nothing to go on from."""
+    monkeypatch.chdir(shared_tmp_path)
+    if comm.rank == 0:
+        Path("out").mkdir()
+        Path("out/scene.toml").write_text(SCENE, encoding="utf-8")
+    comm.Barrier()
+    assert cli.main(["resume", "out"]) == 2
+    err = capfd.readouterr().err
+    assert ("checkpoint" in err and err.count("\n") == 1) if comm.rank == 0 else err == ""
+    if comm.rank == 0:
+        Path("out/checkpoint").mkdir()
+    assert cli.main(["mesh", "out/scene.toml", "--out", "out/checkpoint/mesh.msh"]) == 0
+    capfd.readouterr()
+    assert cli.main(["resume", "out"]) == 1
+    err = capfd.readouterr().err
+    assert err == ("there is no checkpoint in out/checkpoint\n" if comm.rank == 0 else "")
 
 
 @pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun")

@@ -334,6 +334,126 @@ def test_bodies_of_a_mesh_file_that_overlap(folder: Path, capsys: pytest.Capture
     refused(capsys, folder, "geometry", "overlap")
 
 
+CUBE = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+
+
+def cubes(overlap: float) -> str:
+    """Two cubes of one cell, 1 and 0.8 wide; the upper one reaches into the lower one. Groups 3 (below), 4 (above)."""
+    upper = [(0.1 + 0.8 * x, 0.1 + 0.8 * y, 1.0 - overlap + z) for x, y, z in CUBE]
+    nodes = [f"{i} {x} {y} {z}" for i, (x, y, z) in enumerate([*CUBE, *upper], start=1)]
+    elements = ["1 3 2 3 3 1 4 3 2", "2 3 2 4 4 13 14 15 16", "3 5 2 1 1 1 2 3 4 5 6 7 8"]
+    elements += ["4 5 2 2 2 9 10 11 12 13 14 15 16"]
+    head = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$Nodes", "16"]
+    return "\n".join([*head, *nodes, "$EndNodes", "$Elements", "4", *elements, "$EndElements", ""])
+
+
+@pytest.mark.parametrize("overlap", [0.2, 0.4])
+def test_cubes_of_a_mesh_file_that_overlap(overlap: float, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "overlapping.msh").write_text(cubes(overlap), encoding="utf-8")
+    (folder / "wrong.toml").write_text(OVERLAPPING_SCENE.replace("[0, 0]", "[0, 0, 0]"), encoding="utf-8")
+    refused(capsys, folder, "geometry", f"overlap by {overlap:g}")
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.0, -0.2])
+def test_cubes_that_overlap_a_little_or_not_at_all(gap: float, folder: Path) -> None:
+    (folder / "overlapping.msh").write_text(cubes(gap), encoding="utf-8")
+    (folder / "scene.toml").write_text(OVERLAPPING_SCENE.replace("[0, 0]", "[0, 0, 0]"), encoding="utf-8")
+    quiet = ["--set", "output.fields=none", "output.picture=false"]
+    assert cli.main(["run", "scene.toml", *quiet]) == 0
+
+
+@pytest.mark.parametrize(
+    ("shape", "least"),
+    [
+        ('shape = "crossed_fibers"\ngap = -0.051', "-0.05"),
+        ('shape = "crossed_fibers"\nwhole = true\ngap = -0.11', "-0.1"),
+        ('shape = "stacked_blocks"\nheight = [0.4, 1.0]\ngap = -0.041', "-0.04"),
+        ('shape = "fiber_on_block"\ngap = -0.2', "-0.05"),
+        ('shape = "parallel_fibers"\ncount = 3\ngap = -0.5', "-0.1"),
+    ],
+)
+def test_shapes_that_overlap(shape: str, least: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bodies = {"fiber_on_block": ("block", "fiber"), "parallel_fibers": ("fiber_1", "fiber_2", "fiber_3")}
+    names = next((names for key, names in bodies.items() if key in shape), ("lower", "upper"))
+    held = '[[boundaries]]\non = "bottom"\ndisplacement = [0, 0, 0]'
+    sections = [f"[geometry]\n{shape}", "[mesh]\nsize = 0.3", "[contact]", held, "[bodies]"]
+    materials = [f'{name} = "elastic"' for name in names]
+    (folder / "wrong.toml").write_text("\n".join([*sections, *materials]), encoding="utf-8")
+    refused(capsys, folder, "geometry.gap", least)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9, 0.999])
+def test_mesh_files_that_break_off(share: float, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Binary, as the program itself writes them."""
+    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
+    assert cli.main(["mesh", "scene.toml", "--out", "whole.msh"]) == 0
+    capsys.readouterr()
+    whole = (folder / "whole.msh").read_bytes()
+    (folder / "broken.msh").write_bytes(whole[: int(share * len(whole))])
+    text = SCENE.replace('shape = "facing_halves"\nradius = 0.5', 'file = "broken.msh"').replace("size = 0.25", "")
+    (folder / "wrong.toml").write_text(text, encoding="utf-8")
+    refused(capsys, folder, "geometry.file", "broken.msh")
+
+
+def test_a_mesh_file_with_a_cell_turned_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "square.msh").write_text(SQUARE.replace("3 1 1 0", "3 0.3 -0.1 0"), encoding="utf-8")
+    (folder / "wrong.toml").write_text(SQUARE_SCENE, encoding="utf-8")
+    refused(capsys, folder, "geometry.file", "inverted or degenerate")
+
+
+def test_a_facet_group_of_a_mesh_file_without_facets(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = '$PhysicalNames\n1\n1 7 "rim"\n$EndPhysicalNames\n$Nodes'
+    (folder / "square.msh").write_text(SQUARE.replace("$Nodes", names, 1), encoding="utf-8")
+    (folder / "wrong.toml").write_text(SQUARE_SCENE.replace('on = "3"', 'on = "rim"'), encoding="utf-8")
+    refused(capsys, folder, "boundaries[0].on", '"rim"')
+
+
+INSIDE = """
+geometry = { shape = "cantilever", length = 4.0, divisions = [4, 1] }
+bodies = { layer_1 = "elastic", layer_2 = "elastic" }
+boundaries = [{ on = "root", displacement = [0, 0] }]
+contact.pairs = [["tip", "interface_1"]]
+"""
+
+
+def test_a_contact_pair_without_facets_outside(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "wrong.toml").write_text(INSIDE, encoding="utf-8")
+    refused(capsys, folder, "contact.pairs[0]", '"interface_1", which has no facets on the outside')
+
+
+def test_contact_of_bodies_that_are_one(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "wrong.toml").write_text(INSIDE.replace('[["tip", "interface_1"]]', '"auto"'), encoding="utf-8")
+    refused(capsys, folder, "contact.pairs", "no two bodies")
+
+
+@pytest.mark.parametrize(
+    ("law", "key", "words"),
+    [
+        ('law = "bilinear"\nenergy = 1e-6', "energy", "strength^2 / (2 normal_penalty)"),
+        ('law = "cutoff"\nenergy = 1e-6', "energy", "larger penalty"),
+        ('law = "cutoff"\nrange = 1e-9', "range", "strength / normal_penalty"),
+    ],
+)
+def test_adhesion_that_ends_before_its_strength(
+    law: str, key: str, words: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = SCENE.replace('law = "bilinear"\nstrength = 5.0\nenergy = 0.05', f"{law}\nstrength = 5.0")
+    text = text.replace("[contact]", "[contact]\nnormal_penalty = 1e4")
+    (folder / "wrong.toml").write_text(text, encoding="utf-8")
+    refused(capsys, folder, f"contact.adhesion.{key}", words)
+
+
+def test_a_refused_scene_leaves_the_results_of_an_older_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where the mistake shows only once the mesh is there."""
+    older = folder / "results" / "wrong"
+    older.mkdir(parents=True)
+    for name in ("history.csv", "summary.json", "scene.toml"):
+        (older / name).write_text("older", encoding="utf-8")
+    (folder / "wrong.toml").write_text(INSIDE, encoding="utf-8")
+    refused(capsys, folder, "contact.pairs[0]")
+    assert {path.read_text(encoding="utf-8") for path in older.iterdir()} == {"older"}
+
+
 @pytest.mark.parametrize("name", ["unknown key", "negative modulus", "indefinite stiffness", "unknown group"])
 def test_the_command_itself(name: str, folder: Path) -> None:
     wrong = WRONG[name]

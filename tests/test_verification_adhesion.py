@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -9,6 +11,7 @@ from mpi4py import MPI
 from app.scene import Scene
 from app.simulation import run
 from tests import references as ref
+from tests.scenes import half_of_facing_halves, press, rollers
 
 YOUNG, STRENGTH, ENERGY, PENALTY = 1000.0, 10.0, 0.2, 1e4
 
@@ -51,3 +54,56 @@ def test_the_bilinear_law_in_series_with_two_layers() -> None:
     assert force[-1] == pytest.approx(0.0, abs=1e-6 * STRENGTH)
     assert history[-1]["dissipated"] == pytest.approx(ENERGY, rel=1e-6)
     assert history[-1]["bonded_area@lower-upper"] == 0.0
+
+
+# --- Two fibers: the Maugis-Dugdale cylinder of Baney and Hui -------------------------------------
+
+RADIUS, POISSON = 0.5, 0.3
+MODULUS = ref.contact_modulus((YOUNG, POISSON), (YOUNG, POISSON))
+RELATIVE = ref.relative_radius(RADIUS, RADIUS)
+LENGTH = 0.04 * RADIUS  # unit of lengths: small against the fibers, which the theory takes for half spaces
+WORK = np.pi * MODULUS * (0.5 * LENGTH) ** 3 / RELATIVE**2  # of adhesion: that which makes LENGTH the unit
+FORCE = (np.pi * MODULUS * WORK**2 * RELATIVE) ** (1.0 / 3.0)  # unit of loads
+
+
+def hertz_approach(half_width: float) -> float:
+    """How far two flat faces at a distance RADIUS from a Hertzian line contact come together, nearly."""
+    load = np.pi * MODULUS * half_width**2 / (4.0 * RELATIVE)
+    depth = 2.0 * np.log(2.0 * RADIUS / half_width) - POISSON / (1.0 - POISSON)
+    return 2.0 * load * (1.0 - POISSON**2) / (np.pi * YOUNG) * depth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("parameter", "facet"), [(0.5, 0.06), (1.0, 0.04), (2.0, 0.02)])
+def test_two_fibers_pull_off_as_baney_and_hui_say(tmp_path: Path, parameter: float, facet: float) -> None:
+    """The strongest pull of two parallel fibers whose bonds carry a constant stress up to a cut-off.
+
+    Pressed first, further than bonds will reach, then pulled with the flat faces' displacement prescribed. Facets (in
+    LENGTH) are less than a fifth of the cohesive zone, which is 1.8, 1.0 and 0.4 wide at pull-off.
+    """
+    half_of_facing_halves(tmp_path / "m.msh", size=facet * LENGTH, radius=RADIUS, near=2.7 * LENGTH, growth=0.25)
+    scene = press(
+        {"file": tmp_path / "m.msh"},
+        materials={"fiber": {"young": YOUNG, "poisson": POISSON}},
+        bodies={"lower": "fiber", "upper": "fiber"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, -hertz_approach(2.4 * LENGTH)], "follows": "press"},
+            *rollers({"axis": 0}, 2),
+        ],
+        contact={
+            "pairs": [["lower_contact", "upper_contact"]],
+            "normal_penalty_factor": 20,
+            "adhesion": {
+                "law": "cutoff",
+                "strength": ref.maugis_strength(parameter, WORK, RELATIVE, MODULUS),
+                "energy": WORK,
+            },
+        },
+        load={"steps": [5, 10, 40], "factors": {"press": [1.0, 0.1, -0.4]}},
+    )
+    history = run(scene, MPI.COMM_SELF).history
+    pull = 2.0 * np.array([row["force_y@top"] for row in history]) / FORCE
+    assert pull.max() == pytest.approx(ref.maugis_pull_off(parameter), rel=0.03)
+    # Afterwards nothing holds them any more.
+    assert abs(pull[-1]) < 1e-6 and history[-1]["bonded_area@lower_contact-upper_contact"] == 0.0
