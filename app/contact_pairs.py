@@ -14,6 +14,7 @@ from app.model import Model
 from app.scene_errors import SceneError
 from forms.contact.integrals import nodal_points, quadrature_points
 from forms.contact.laws import Adhesion, InterfaceLaw
+from forms.contact.lennard_jones import LennardJones
 from meshes.surface import Surface, body_facets, multiplicity, surface
 
 Array = NDArray[np.float64]
@@ -87,11 +88,17 @@ def _pass(model: Model, number: int, slave: Surface, master: Surface, first: boo
     return ContactPass(number, slave, master, points, law, 1.0 / keys.passes, first, size, _depth(model, slave, master))
 
 
-def _adhesion(model: Model, penalty: Array) -> Adhesion | None:
+def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:
     keys = model.scene.contact.adhesion
     if keys is None:
         return None
     least = model.comm.allreduce(float(penalty.min(initial=np.inf)), op=MPI.MIN)
+    if keys.law == "lennard_jones":
+        try:
+            LennardJones.of(keys.strength, keys.energy, np.array([least]))
+        except ValueError as error:
+            raise SceneError("contact.adhesion.strength", str(error), "a law no stiffer than the penalty") from None
+        return LennardJones.of(keys.strength, keys.energy, penalty)
     longest = keys.strength / least
     energy = keys.energy
     if energy is None:

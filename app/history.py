@@ -122,13 +122,13 @@ def pair_values(contact: Contact, number: int, name: str, electric: bool) -> dic
         area = p.points.area[rows]
         pressure = -r.slope * p.points.weight[rows] / area
         sums[:d] += p.force if p.first else -p.force
-        sums[d] += p.share * area @ (gap <= 0.0)
+        sums[d] += p.share * area @ (gap <= p.law.rest)
         # History is that of the converged step, so bonds that broke in it no longer count.
         sums[d + 1] += p.share * p.points.area @ p.law.bonded(p.history)
         largest[0] = max(largest[0], pressure.max(initial=0.0))
         largest[1] = max(largest[1], -gap.min(initial=0.0))
         if p.jump is not None:
-            together = (gap <= 0.0) | (p.law[rows].status(gap, p.history[rows]) == 2)
+            together = (gap <= p.law.rest) | (p.law[rows].status(gap, p.history[rows]) == 2)
             largest[2] = max(largest[2], np.abs(p.jump[together]).max(initial=0.0))
     sums, largest = reductions.total(contact.comm, sums), reductions.largest(contact.comm, largest)
     values = {f"contact_force_{axis}@{name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}

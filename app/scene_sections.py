@@ -206,18 +206,23 @@ class Boundary(Keys):
 class Adhesion(Keys):
     """[contact.adhesion]: tension that the contact carries; absent: none."""
 
-    law: Literal["cutoff", "bilinear"]
+    law: Literal["cutoff", "bilinear", "lennard_jones"]
     strength: Positive = Field(description="largest tension, MPa")
     energy: Positive | None = Field(None, description="work of separation, pJ/um2")
     range: Positive | None = Field(None, description="um, for law cutoff instead of energy")
-    starts: Literal["touch", "always"] = Field("touch", description="touch: sticks once pressed together")
+    starts: Literal["touch", "always"] = Field(
+        default_factory=lambda given: "always" if given.get("law") == "lennard_jones" else "touch",
+        description='touch: sticks once pressed together; default "touch", and "always" for law lennard_jones',
+    )
 
     @model_validator(mode="after")
     def _one_work(self) -> Self:
-        if self.law == "bilinear" and self.range is not None:
-            raise SceneError("range", self.range, 'energy for law "bilinear"; range belongs to law "cutoff"')
+        if self.law != "cutoff" and self.range is not None:
+            raise SceneError("range", self.range, f'energy for law "{self.law}"; range belongs to law "cutoff"')
+        if self.law == "lennard_jones" and self.starts == "touch":
+            raise SceneError("starts", '"touch"', '"always": law "lennard_jones" attracts whatever comes near')
         if self.energy is None and self.range is None:
-            allowed = "a number > 0" if self.law == "bilinear" else "energy or range, a number > 0"
+            allowed = "energy or range, a number > 0" if self.law == "cutoff" else "a number > 0"
             raise SceneError("energy", "nothing", allowed)
         if self.energy is not None and self.range is not None:
             raise SceneError("range", "both energy and range", "exactly one of energy and range")

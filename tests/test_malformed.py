@@ -227,7 +227,16 @@ WRONG = {
         "either",
     ),
     "nodal weight of points": Wrong("[contact]", '[contact]\nnodal_weight = "unit"', "contact.nodal_weight", "node"),
-    "adhesion law": Wrong('"bilinear"', '"lennard_jones"', "contact.adhesion.law", '"cutoff" or "bilinear"'),
+    "adhesion law": Wrong('"bilinear"', '"linear"', "contact.adhesion.law", "lennard_jones"),
+    "lennard_jones at touch": Wrong(
+        '"bilinear"', '"lennard_jones"\nstarts = "touch"', "contact.adhesion.starts", "attracts whatever comes near"
+    ),
+    "range of lennard_jones": Wrong(
+        '"bilinear"\nstrength = 5.0\nenergy',
+        '"lennard_jones"\nstrength = 5.0\nrange',
+        "contact.adhesion.range",
+        "cutoff",
+    ),
     "range of a bilinear law": Wrong("energy = 0.05", "range = 0.05", "contact.adhesion.range", "cutoff"),
     "adhesion without energy": Wrong("energy = 0.05", "", "contact.adhesion.energy", "nothing"),
     "tolerance": Wrong("[contact]", "[solver]\ntolerance = 0.1\n[contact]", "solver.tolerance", "< 0.01"),
@@ -432,6 +441,7 @@ def test_contact_of_bodies_that_are_one(folder: Path, capsys: pytest.CaptureFixt
         ('law = "bilinear"\nenergy = 1e-6', "energy", "strength^2 / (2 normal_penalty)"),
         ('law = "cutoff"\nenergy = 1e-6', "energy", "larger penalty"),
         ('law = "cutoff"\nrange = 1e-9', "range", "strength / normal_penalty"),
+        ('law = "lennard_jones"\nenergy = 1e-6', "strength", "softer than the law at rest"),
     ],
 )
 def test_adhesion_that_ends_before_its_strength(

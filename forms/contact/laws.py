@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from forms.contact.lennard_jones import LennardJones
+
 Array = NDArray[np.float64]
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that it has a slope
@@ -58,6 +60,8 @@ class Adhesion:
     final: Array
     always: bool
 
+    rest = 0.0  # gap at which surfaces rest without a force, um
+
     @classmethod
     def bilinear(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> Adhesion:
         """Bilinear law with the given strength (MPa) and energy (pJ/um2). ValueError if the penalty is too soft."""
@@ -89,6 +93,41 @@ class Adhesion:
 
     def __getitem__(self, rows: NDArray) -> Adhesion:
         return Adhesion(self.strength, self.penalty[rows], self.plateau[rows], self.final[rows], self.always)
+
+    def bonded(self, history: History) -> NDArray[np.bool_]:
+        """Points that stick: touched, and never opened as far as the bond's end."""
+        return history.touched & (history.opening < self.final)
+
+    def touching(self, gap: Array) -> NDArray[np.bool_]:
+        """Points that touch at this gap: closed or, where it always attracts, within the elastic opening."""
+        return gap <= (self.elastic if self.always else 0.0)
+
+    def torn(self, history: History) -> History:
+        """History of points that no longer meet the other surface: what was bonded is torn."""
+        torn = np.maximum(history.opening, 2.0 * self.final)
+        return History(history.touched, np.where(history.touched, torn, history.opening))
+
+    def held(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
+        """Share of the electric contact that bonds keep, with its slope and curvature."""
+        # A function of the gap alone as long as the bond holds: its slope pulls, so it must not jump on a return.
+        bonded, width = self.bonded(history), (1.0 - RELEASE) * self.final
+        b, b1, b2 = (np.where(bonded, value, 0.0) for value in _fade((gap - RELEASE * self.final) / width))
+        return b, b1 / width, b2 / width**2
+
+    def answer(self, gap: Array, history: History, response: Response) -> None:
+        """Add the law's slope, curvature and energies to those of the penalty."""
+        loading = (gap > history.opening + SAME * self.final) | (self.always & ~history.touched)
+        furthest = np.where(loading, np.maximum(gap, 0.0), history.opening)
+        traction, tangent, work = self.envelope(furthest)
+        secant = np.where(furthest > self.elastic, traction / np.maximum(furthest, self.elastic), self.penalty)
+        live = history.touched | self.always
+        pulled = (gap > 0.0) & live
+        response.slope = response.slope + np.where(pulled, np.where(loading, traction, secant * gap), 0.0)
+        response.curvature = response.curvature + np.where(pulled, np.where(loading, tangent, secant), 0.0)
+        stored = np.where(history.touched, 0.5 * secant * np.maximum(gap, 0.0) ** 2, work)
+        damaged = np.where(history.touched, work - 0.5 * secant * furthest**2, 0.0)
+        response.adhesion = np.where(live, stored, 0.0) - (self.energy if self.always else 0.0)
+        response.dissipated = np.where(live, damaged, 0.0)
 
     def envelope(self, opening: Array) -> tuple[Array, Array, Array]:
         """Traction, slope and work up to an opening that has never been exceeded."""
@@ -172,7 +211,7 @@ class InterfaceLaw:
     """Penalty (m,) MPa/um, optional adhesion, electric penalty (m,) pC/(V um2) that fades out over `fade` (m,) um."""
 
     penalty: Array
-    adhesion: Adhesion | None = None
+    adhesion: Adhesion | LennardJones | None = None
     electric_penalty: Array | None = None
     fade: Array | None = field(default=None)
 
@@ -187,34 +226,33 @@ class InterfaceLaw:
     @property
     def reach(self) -> float:
         """Largest gap at which a point can still answer, um."""
-        reach = 0.0 if self.fade is None else float(self.fade.max(initial=0.0))
+        reach = 0.0 if self.fade is None else self.rest + float(self.fade.max(initial=0.0))
         return max(reach, float(self.adhesion.final.max(initial=0.0)) if self.adhesion else 0.0)
+
+    @property
+    def rest(self) -> float:
+        """Gap at and below which surfaces are in contact, um: that at which they rest without a force."""
+        return 0.0 if self.adhesion is None else self.adhesion.rest
 
     def bonded(self, history: History) -> NDArray[np.bool_]:
         """Points that stick: touched, and never opened as far as the bond's end."""
-        if self.adhesion is None:
-            return np.zeros(len(self.penalty), bool)
-        return history.touched & (history.opening < self.adhesion.final)
+        return np.zeros(len(self.penalty), bool) if self.adhesion is None else self.adhesion.bonded(history)
 
     def touching(self, gap: Array) -> NDArray[np.bool_]:
-        """Points that touch at this gap: closed or, with adhesion that always attracts, within the elastic opening."""
-        if self.adhesion is not None and self.adhesion.always:
-            return gap <= self.adhesion.elastic
-        return gap <= 0.0
+        """Points that touch at this gap, which the history remembers."""
+        return gap <= 0.0 if self.adhesion is None else self.adhesion.touching(gap)
 
     def lost(self, history: History) -> History:
-        """History of points that no longer meet the other surface: what was bonded is torn."""
-        if self.adhesion is None:
-            return history
-        torn = np.maximum(history.opening, 2.0 * self.adhesion.final)
-        return History(history.touched, np.where(history.touched, torn, history.opening))
+        """History of points that no longer meet the other surface."""
+        return history if self.adhesion is None else self.adhesion.torn(history)
 
     def status(self, gap: Array, history: History) -> NDArray[np.int8]:
         """0 apart, 1 touching, 2 bonded in tension, 3 broken."""
-        apart = np.where(self.bonded(history), 2, 0)
+        bonded = self.bonded(history)
+        apart = np.where(bonded, 2, 0)
         if self.adhesion is not None:
-            apart = np.where(history.touched & (history.opening >= self.adhesion.final), 3, apart)
-        return np.where(gap <= 0.0, 1, apart).astype(np.int8)
+            apart = np.where(history.touched & ~bonded, 3, apart)
+        return np.where(gap <= self.rest, 1, apart).astype(np.int8)
 
     def respond(self, gap: Array, jump: Array | None, history: History) -> Response:
         """Response at gaps (m,) and, with an electric penalty, potential jumps (m,) in V."""
@@ -226,35 +264,16 @@ class InterfaceLaw:
         zero = np.zeros_like(gap)
         response = Response(slope, curvature, zero, zero, zero, contact, zero, zero, zero)
         if self.adhesion is not None:
-            self._adhere(gap, history, response)
+            self.adhesion.answer(gap, history, response)
         if self.electric_penalty is not None and jump is not None:
             self._electrify(gap, jump, history, response)
         return response
 
-    def _adhere(self, gap: Array, history: History, response: Response) -> None:
-        law = self.adhesion
-        loading = (gap > history.opening + SAME * law.final) | (law.always & ~history.touched)
-        furthest = np.where(loading, np.maximum(gap, 0.0), history.opening)
-        traction, tangent, work = law.envelope(furthest)
-        secant = np.where(furthest > law.elastic, traction / np.maximum(furthest, law.elastic), law.penalty)
-        pulled = (gap > 0.0) & (history.touched | law.always)
-        response.slope = response.slope + np.where(pulled, np.where(loading, traction, secant * gap), 0.0)
-        response.curvature = response.curvature + np.where(pulled, np.where(loading, tangent, secant), 0.0)
-        stored = np.where(history.touched, 0.5 * secant * np.maximum(gap, 0.0) ** 2, work)
-        damaged = np.where(history.touched, work - 0.5 * secant * furthest**2, 0.0)
-        live = history.touched | law.always
-        response.adhesion = np.where(live, stored, 0.0) - (law.energy if law.always else 0.0)
-        response.dissipated = np.where(live, damaged, 0.0)
-
     def _electrify(self, gap: Array, jump: Array, history: History, response: Response) -> None:
-        s, s1, s2 = _fade(gap / self.fade)
+        s, s1, s2 = _fade((gap - self.rest) / self.fade)
         s1, s2 = s1 / self.fade, s2 / self.fade**2
         if self.adhesion is not None:
-            # A function of the gap alone as long as the bond holds: its slope pulls, so it must not jump on a return.
-            bonded, final = self.bonded(history), self.adhesion.final
-            width = (1.0 - RELEASE) * final
-            b, b1, b2 = (np.where(bonded, value, 0.0) for value in _fade((gap - RELEASE * final) / width))
-            b1, b2 = b1 / width, b2 / width**2
+            b, b1, b2 = self.adhesion.held(gap, history)
             s2 = (1.0 - b) * s2 - 2.0 * s1 * b1 + (1.0 - s) * b2
             s1 = (1.0 - b) * s1 + (1.0 - s) * b1
             s = 1.0 - (1.0 - s) * (1.0 - b)

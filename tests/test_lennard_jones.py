@@ -1,0 +1,151 @@
+"""The Lennard-Jones law: closed forms, derivatives, where penalty and tail take over, and blocks that follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from app.simulation import run
+from forms.contact.laws import History, InterfaceLaw
+from forms.contact.lennard_jones import FAR, LennardJones
+from tests import references as ref
+from tests.scenes import press
+
+Array = NDArray[np.float64]
+
+STRENGTH, ENERGY, PENALTY = 5.0, 0.05, 2e5
+LAW = LennardJones.of(STRENGTH, ENERGY, np.array([PENALTY]))
+EXACT = ref.LennardJones(LAW.hamaker, LAW.distance)
+
+
+def interface(points: int, electric: bool = False) -> InterfaceLaw:
+    """The law with the same constants at every point."""
+    more = (np.full(points, 0.3), np.full(points, 0.004)) if electric else ()
+    return InterfaceLaw(np.full(points, PENALTY), LAW[np.zeros(points, int)], *more)
+
+
+def traction(gap: Array) -> Array:
+    return interface(len(gap)).respond(gap, None, History.virgin(len(gap))).slope
+
+
+def test_the_traction_is_that_of_the_reference() -> None:
+    gap = np.linspace(LAW.near[0], FAR * LAW.distance, 500)
+    np.testing.assert_allclose(traction(gap), [-EXACT.pressure(g) for g in gap], rtol=1e-12, atol=1e-12 * STRENGTH)
+
+
+def test_rest_strongest_pull_and_work_are_the_closed_forms() -> None:
+    assert pytest.approx(EXACT.equilibrium, rel=1e-13) == LAW.rest
+    assert pytest.approx(EXACT.pull, rel=1e-13) == STRENGTH
+    assert traction(np.array([EXACT.pull_gap]))[0] == pytest.approx(STRENGTH, rel=1e-13)
+    gap = np.linspace(LAW.near[0], float(LAW.final[0]), 200_001)
+    assert traction(gap).max() == pytest.approx(STRENGTH, rel=1e-6)
+    # The energy is the work up to the end of the tail; without an end it would be 1.1 % more.
+    opening = np.linspace(LAW.rest, float(LAW.final[0]), 400_001)
+    values = traction(opening)
+    assert (values[:-1] + values[1:]).sum() * np.diff(opening)[0] / 2 == pytest.approx(ENERGY, rel=1e-6)
+    assert EXACT.work == pytest.approx(ENERGY, rel=0.012)
+    # The steepest fall, which a drag must outdo.
+    falls = -np.diff(values) / np.diff(opening)
+    assert falls.max() == pytest.approx(float(LAW.steepness[0]), rel=1e-4)
+
+
+@pytest.mark.parametrize("electric", [False, True])
+def test_slopes_are_derivatives_of_the_energy(electric: bool, rng: np.random.Generator) -> None:
+    """From deep penetration through the law to beyond its end."""
+    r0 = LAW.distance
+    gap = np.concatenate([rng.uniform(-0.2, 2.0, 400), rng.uniform(2.0, 2.2 * FAR, 400)]) * r0
+    kinks = np.array([LAW.near[0], FAR * r0, 2.0 * FAR * r0, LAW.rest])
+    gap = gap[np.abs(gap[:, None] - kinks).min(axis=1) > 1e-4 * r0]
+    jump = rng.uniform(-2.0, 2.0, len(gap)) if electric else None
+    law = interface(len(gap), electric)
+
+    def enthalpy(change: float) -> Array:
+        r = law.respond(gap + change, jump, History.virgin(len(gap)))
+        return r.contact + r.adhesion + r.dissipated - r.electric
+
+    def slopes(change: float) -> Array:
+        return law.respond(gap + change, jump, History.virgin(len(gap))).slope
+
+    r, h = law.respond(gap, jump, History.virgin(len(gap))), 1e-5 * r0
+    slope = (8 * (enthalpy(h) - enthalpy(-h)) - enthalpy(2 * h) + enthalpy(-2 * h)) / (12 * h)
+    curvature = (8 * (slopes(h) - slopes(-h)) - slopes(2 * h) + slopes(-2 * h)) / (12 * h)
+    np.testing.assert_allclose(r.slope, slope, rtol=1e-7, atol=1e-7 * STRENGTH)
+    np.testing.assert_allclose(r.curvature, curvature, rtol=1e-6, atol=1e-6 * STRENGTH / r0)
+
+
+def test_law_penalty_and_tail_meet_with_one_slope() -> None:
+    for place in (LAW.near[0], FAR * LAW.distance, 2.0 * FAR * LAW.distance):
+        gap = place + np.array([-1e-9, 1e-9]) * LAW.distance
+        r = interface(2).respond(gap, None, History.virgin(2))
+        assert r.slope[1] - r.slope[0] == pytest.approx(0.0, abs=1e-5 * STRENGTH)
+        assert r.curvature[1] == pytest.approx(r.curvature[0], abs=1e-5 * PENALTY)
+    deep = interface(2).respond(np.array([-1e-3, 0.0]), None, History.virgin(2))
+    np.testing.assert_allclose(deep.curvature, PENALTY, rtol=1e-14)
+    assert (interface(1).respond(np.array([2.0 * FAR * LAW.distance]), None, History.virgin(1)).slope == 0.0).all()
+    assert interface(1).reach == pytest.approx(2.0 * FAR * LAW.distance)
+
+
+def test_stored_energy_is_zero_far_off_and_lowest_at_rest() -> None:
+    gap = np.array([1e30, LAW.rest, 0.9 * LAW.rest])
+    r = interface(3).respond(gap, None, History.virgin(3))
+    np.testing.assert_allclose(r.adhesion, [0.0, -ENERGY, -ENERGY], atol=1e-12 * ENERGY)
+    assert r.contact[2] > 0.0 and r.contact[0] == r.contact[1] == 0.0
+    assert not r.dissipated.any()
+
+
+def test_nothing_is_remembered_and_potentials_are_joined_where_surfaces_rest() -> None:
+    law = interface(3, electric=True)
+    gap = np.array([0.5 * LAW.rest, LAW.rest, LAW.rest + 0.0041])
+    history = History.virgin(3).advanced(gap, law.touching(gap))
+    assert not history.touched.any() and not law.bonded(history).any()
+    np.testing.assert_array_equal(law.status(gap, history), [1, 1, 0])
+    charge = law.respond(gap, np.ones(3), history).charge
+    np.testing.assert_allclose(charge, [-0.3, -0.3, 0.0], rtol=1e-13)
+
+
+def test_a_penalty_softer_than_the_law_is_an_error() -> None:
+    at_rest = (EXACT.pressure(LAW.rest * (1 - 1e-6)) - EXACT.pressure(LAW.rest * (1 + 1e-6))) / (2e-6 * LAW.rest)
+    LennardJones.of(STRENGTH, ENERGY, np.array([1.001 * at_rest]))
+    with pytest.raises(ValueError, match="softer than the law at rest"):
+        LennardJones.of(STRENGTH, ENERGY, np.array([1.001 * at_rest, 0.999 * at_rest]))
+
+
+@pytest.mark.mpi
+def test_blocks_attract_and_repel_as_the_law_says(comm: MPI.Comm) -> None:
+    """Two stiff blocks brought together from beyond the law's reach and pressed: at each step the force is T(gap)."""
+    young, start, r0 = 1e6, 2.2 * FAR * LAW.distance, LAW.distance
+    scene = press(
+        {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 1], [3, 1]], "gap": start},
+        mesh={"cells": "tensor"},
+        materials={"stiff": {"young": young, "poisson": 0.0}},
+        bodies={"lower": "stiff", "upper": "stiff"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": ["free", -1], "follows": "approach"},
+            {"on": "left", "displacement": [0, "free"]},
+        ],
+        contact={
+            "normal_penalty": PENALTY,
+            "adhesion": {"law": "lennard_jones", "strength": STRENGTH, "energy": ENERGY},
+        },
+        load={"steps": [20, 20], "factors": {"approach": [start - 2.0 * r0, start - 0.55 * r0]}},
+        solver={"tolerance": 1e-13},  # of the forces that the stiff blocks bear at the start of a step
+    )
+    history = run(scene, comm).history
+    force = np.array([row["force_y@top"] for row in history])
+    gap = start - np.array([row["factor:approach"] for row in history]) - force / young
+    assert force.max() > 0.9 * STRENGTH and force.min() < -STRENGTH
+    np.testing.assert_allclose(force, traction(gap), atol=1e-6 * STRENGTH)
+    inside = (gap > LAW.near[0]) & (gap < FAR * r0)
+    assert inside.sum() > 25
+    expected = [-EXACT.pressure(g) for g in gap[inside]]
+    np.testing.assert_allclose(force[inside], expected, atol=1e-6 * STRENGTH)
+    # What the blocks rest at counts as contact, and the stored energy is the work done, as coarse steps sum it up.
+    assert history[-1]["contact_area@lower-upper"] == pytest.approx(1.0)
+    row = history[-1]
+    stored = row["elastic"] + row["contact"] + row["adhesion"]
+    assert stored == pytest.approx(row["external_work"], abs=0.1 * ENERGY)
+    assert row["adhesion"] == pytest.approx(-ENERGY, rel=1e-9)
+    assert row["dissipated"] == 0.0
