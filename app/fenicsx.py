@@ -1,4 +1,4 @@
-"""All that differs between versions of DOLFINx, and nothing else.
+"""All that differs between versions of DOLFINx, and nothing else: 0.5 (Debian 12), 0.9 (Debian 13), 0.11 (PyPI).
 
 `forms` and `meshes` import this module too; it imports nothing of the project.
 """
@@ -6,30 +6,52 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import basix
 import dolfinx
+import dolfinx.io
 import numpy as np
 import ufl
 from mpi4py import MPI
 from numpy.typing import NDArray
+from petsc4py import PETSc
 
 VERSION: str = dolfinx.__version__
+RELEASE = tuple(int(number) for number in VERSION.split(".")[:2])
+NEW, NEWEST = RELEASE >= (0, 9), RELEASE >= (0, 11)
+if RELEASE[0] != 0 or RELEASE[1] not in (5, 9, 11):  # no Debian release has what came between
+    raise ImportError(f"piezomat runs on DOLFINx 0.5, 0.9 and 0.11, not on {VERSION}")
+
+ADD = dolfinx.la.InsertMode.add if NEW else dolfinx.cpp.la.ScatterMode.add
+EQUISPACED = basix.LagrangeVariant.equispaced
+# Why SNES stopped: this has a new name in the PETSc of 0.11 (3.25).
+_reasons = PETSc.SNES.ConvergedReason
+NOT_A_NUMBER = _reasons.DIVERGED_FUNCTION_NANORINF if NEWEST else _reasons.DIVERGED_FNORM_NAN
 
 # The form compiler tells the root logger of every C compiler call.
 for _handler in logging.getLogger().handlers:
     _handler.setLevel(logging.WARNING)
+# PETSc 3.22 ends with a list of the options that nothing asked for, such as those of a solver that no step needed.
+PETSc.Options()["options_left"] = "no"
 
 
 def lagrange(mesh: Any, order: int, components: int) -> Any:
     """Blocked Lagrange space of the given order with `components` unknowns a node."""
-    element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), order, dim=components)
-    return dolfinx.fem.FunctionSpace(mesh, element)
+    return _space(mesh, "Lagrange", order, components)
 
 
 def piecewise_constant(mesh: Any, components: int) -> Any:
     """Blocked space of `components` constants a cell."""
-    element = ufl.VectorElement("DG", mesh.ufl_cell(), 0, dim=components)
+    return _space(mesh, "DG", 0, components)
+
+
+def _space(mesh: Any, family: str, order: int, components: int) -> Any:
+    if NEW:
+        return dolfinx.fem.functionspace(mesh, (family, order, (components,)))
+    element = ufl.VectorElement(family, mesh.ufl_cell(), order, dim=components)
     return dolfinx.fem.FunctionSpace(mesh, element)
 
 
@@ -47,27 +69,35 @@ def create_mesh(
     rank 0 (empty elsewhere). `destinations` (n,) on rank 0 forces the rank of each cell.
     """
     gdim = comm.bcast(x.shape[1])
+    partition: Callable | None = None
+    if comm.bcast(destinations is not None):
+        ranks = np.empty(0, np.int32) if destinations is None else np.asarray(destinations, np.int32)
+        partition = partial(_partition, ranks)
+    if NEW:
+        element = basix.ufl.element("Lagrange", cell_type, order, lagrange_variant=EQUISPACED, shape=(gdim,))
+        # The order of the last arguments has changed since 0.9, their names have not.
+        arguments = {"cells": cells, "x": x, "e": ufl.Mesh(element), "partitioner": partition}
+        return dolfinx.mesh.create_mesh(comm, **arguments)
     cell = ufl.Cell(cell_type, geometric_dimension=gdim)
     scalar = ufl.FiniteElement("Lagrange", cell, order, variant="equispaced")
     domain = ufl.Mesh(ufl.VectorElement(scalar))
-    ghost_mode = dolfinx.cpp.mesh.GhostMode.none
-    if comm.bcast(destinations is not None):
-        ranks = np.empty(0, np.int32) if destinations is None else np.asarray(destinations, np.int32)
+    create_partitioner = dolfinx.cpp.mesh.create_cell_partitioner
+    partitioner = create_partitioner() if partition is None else create_partitioner(partition)
+    return dolfinx.mesh.create_mesh(comm, cells, x, domain, dolfinx.cpp.mesh.GhostMode.none, partitioner)
 
-        def place(comm: Any, parts: int, neighbours: Any, ghosts: bool) -> Any:
-            return _destinations(ranks, neighbours if ghosts else None)
 
-        partitioner = dolfinx.cpp.mesh.create_cell_partitioner(place)
-    else:
-        partitioner = dolfinx.cpp.mesh.create_cell_partitioner()
-    return dolfinx.mesh.create_mesh(comm, cells, x, domain, ghost_mode, partitioner)
+def _partition(ranks: NDArray[np.int32], comm: Any, parts: int, *graph: Any) -> Any:
+    """Ranks that each cell goes to, as DOLFINx asks a partitioner for them.
+
+    Since 0.9 (graph: cell types, cells) only its own; 0.5 (graph: cells that share a facet, whether it wants ghosts)
+    asks for those of its neighbours too, by which it finds the vertices that ranks share.
+    """
+    neighbours = None if NEW or not graph[1] else graph[0]
+    return _destinations(ranks, neighbours)
 
 
 def _destinations(ranks: NDArray[np.int32], neighbours: Any | None) -> Any:
-    """Ranks that each cell goes to: its own first, then those of cells that share a facet with it.
-
-    DOLFINx 0.5 finds the vertices that ranks share by these, also for a mesh without ghost cells.
-    """
+    """Ranks that each cell goes to: its own first, then, if asked for, those of cells that share a facet with it."""
     cell, rank = np.arange(len(ranks)), ranks
     if neighbours is not None:
         near = np.repeat(cell, np.diff(neighbours.offsets))
@@ -96,22 +126,29 @@ def entities_from_nodes(
     topology.create_entities(dim)
     topology.create_connectivity(dim, 0)
     topology.create_connectivity(dim, topology.dim)
-    vertices, local_values = dolfinx.cpp.io.distribute_entity_data(mesh._mesh, dim, entities, values)
-    graph = dolfinx.cpp.graph.AdjacencyList_int32(vertices)
+    if NEW:
+        vertices, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
+        graph = dolfinx.graph.adjacencylist(vertices)
+    else:
+        vertices, local_values = dolfinx.cpp.io.distribute_entity_data(mesh._mesh, dim, entities, values)
+        graph = dolfinx.cpp.graph.AdjacencyList_int32(vertices)
     tags = dolfinx.mesh.meshtags_from_entities(mesh, dim, graph, local_values.astype(np.int32))
     return tags.indices, tags.values
 
 
 def dofmap(space: Any) -> NDArray[np.int32]:
     """Local block numbers of the nodes of each local cell, (cells, nodes)."""
-    adjacency = space.dofmap.list
-    return adjacency.array.reshape(adjacency.num_nodes, space.dofmap.dof_layout.num_dofs)
+    return _table(space.dofmap.list, space.dofmap.dof_layout.num_dofs)
 
 
 def geometry_dofmap(mesh: Any) -> NDArray[np.int32]:
     """Local geometry nodes of each local cell, (cells, nodes)."""
-    adjacency = mesh.geometry.dofmap
-    return adjacency.array.reshape(adjacency.num_nodes, nodes_per_cell(mesh))
+    links = mesh.geometry.dofmaps[0] if NEWEST else mesh.geometry.dofmap
+    return _table(links, nodes_per_cell(mesh))
+
+
+def _table(links: Any, columns: int) -> NDArray[np.int32]:
+    return links if NEW else links.array.reshape(links.num_nodes, columns)
 
 
 def node_ids(mesh: Any) -> NDArray[np.int64]:
@@ -147,28 +184,44 @@ def vtk_permutation(cell_type: str, nodes: int) -> NDArray[np.int64]:
 
 def nodes_per_cell(mesh: Any) -> int:
     """Number of geometry nodes of a cell, also on a rank that has none."""
-    return int(mesh.geometry.cmap.create_dof_layout().num_dofs)
+    element = mesh.geometry.cmaps[0] if NEWEST else mesh.geometry.cmap
+    return int(element.create_dof_layout().num_dofs)
 
 
 def degree(argument: Any) -> int:
-    """Polynomial order of the element of a function, or of a form's argument."""
-    found = argument.ufl_element().degree
-    return int(found() if callable(found) else found)
+    """Polynomial order of the element of a function, a form's argument or a space."""
+    return int(_value(argument.ufl_element().degree))
+
+
+def domain(argument: Any) -> ufl.Mesh:
+    """UFL's mesh of a function, or of a form's argument."""
+    return argument.ufl_function_space().ufl_domain()
+
+
+def dimension(argument: Any) -> int:
+    """Dimension of the space in which the mesh of a function, or of a form's argument, lies."""
+    return int(_value(domain(argument).geometric_dimension))
 
 
 def cell_name(mesh: Any) -> str:
-    """triangle, quadrilateral, tetrahedron or hexahedron."""
-    return mesh.topology.cell_name()
+    """triangle, quadrilateral, tetrahedron or hexahedron: the cells of a mesh, DOLFINx's or UFL's."""
+    ufl_mesh = mesh if isinstance(mesh, ufl.Mesh) else mesh.ufl_domain()
+    return str(_value(ufl_mesh.ufl_cell().cellname))
+
+
+def _value(attribute: Any) -> Any:
+    """What UFL made a property of, and was a method before."""
+    return attribute() if callable(attribute) else attribute
 
 
 def sum_over_ranks(space: Any, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Values at the local nodes, summed over the ranks that share each node. Collective."""
-    scalar = lagrange(space.mesh, space.ufl_element().degree(), 1)
+    scalar = lagrange(space.mesh, degree(space), 1)
     total = dolfinx.fem.Function(scalar)
     order = np.zeros(len(values), np.int32)
     order[dofmap(space)] = dofmap(scalar)
     total.x.array[order] = values
-    total.x.scatter_reverse(dolfinx.cpp.la.ScatterMode.add)
+    total.x.scatter_reverse(ADD)
     total.x.scatter_forward()
     return total.x.array[order]
 
@@ -180,7 +233,7 @@ def integral(form: Any) -> float:
 
 def petsc_vector(function: Any) -> Any:
     """The PETSc vector that shares a function's values, ghosts included."""
-    return function.vector
+    return function.x.petsc_vec if NEW else function.vector
 
 
 def center_expression(value: Any, mesh: Any) -> Any:
@@ -194,7 +247,8 @@ def center_expression(value: Any, mesh: Any) -> Any:
 def at_centers(expression: Any, mesh: Any) -> NDArray[np.float64]:
     """Values (cells, components) of a `center_expression` in this rank's cells."""
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    return expression.eval(cells)
+    values = expression.eval(mesh, cells) if NEW else expression.eval(cells)
+    return values.reshape(len(cells), values.shape[-1])
 
 
 def cell_volumes(mesh: Any) -> NDArray[np.float64]:

@@ -47,7 +47,7 @@ class Grid:
 
 def grid(mesh: Any) -> Grid:
     """This rank's cells of a dolfinx mesh; its points are the geometry's nodes, in their local order."""
-    cell_type, nodes = mesh.ufl_cell().cellname(), fenicsx.nodes_per_cell(mesh)
+    cell_type, nodes = fenicsx.cell_name(mesh), fenicsx.nodes_per_cell(mesh)
     points = np.array(mesh.geometry.x, float).reshape(-1, 3)
     cells = np.empty((0, nodes), np.int64)
     if len(points):

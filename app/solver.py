@@ -13,6 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from app import fenicsx
 from app.model import Model, rigid_modes
 from app.problem import Problem
 from app.scene_sections import Solver
@@ -252,7 +253,7 @@ class Newton:
         ratio = self._relative(snes.getFunction()[0])
         self._report.residuals.append(ratio)
         if not np.isfinite(ratio):
-            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+            return fenicsx.NOT_A_NUMBER
         if ratio <= self.keys.tolerance:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
         if iteration >= self.keys.max_iterations:
@@ -288,7 +289,7 @@ class Newton:
         words = {
             PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: f"Newton's method needs more than {self.keys.max_iterations} "
             f"iterations (relative residual {last:.1e})",
-            PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN: "the residual is not a number",
+            fenicsx.NOT_A_NUMBER: "the residual is not a number",
             PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: f"no step reduces the residual (relative {last:.1e})",
         }
         if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:

@@ -6,6 +6,7 @@ from typing import Any
 
 import ufl
 
+from app import fenicsx
 from forms.piezo import Kinematics, law_matrix, strain_and_field, volume_measure
 
 
@@ -16,7 +17,7 @@ def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any 
     """
     s = strain_and_field(w, kinematics)
     matrix = law_matrix(law, len(s))
-    dim = w.ufl_domain().geometric_dimension()
+    dim = fenicsx.dimension(w)
     strains = dim * (dim + 1) // 2
 
     def half_square(indices: range) -> Any:
@@ -33,9 +34,9 @@ def grounding_form(u: Any, v: Any, strength: Any) -> Any:
     strength: DG0 vector of two, MPa/um2: for each displacement, and for the potential unknown (which takes the sign
     of the dielectric term, so that the grounded body keeps one tangent of one signature).
     """
-    dim = u.ufl_domain().geometric_dimension()
+    dim = fenicsx.dimension(u)
     density = strength[0] * sum(u[i] * v[i] for i in range(dim))
     if u.ufl_shape[0] > dim:
         density = density - strength[1] * u[dim] * v[dim]
-    order = v.ufl_element().degree()
+    order = fenicsx.degree(v)
     return density * ufl.dx(degree=2 * order)

@@ -75,7 +75,7 @@ def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
 
     3 + 2 entries in 2D, 6 + 3 in 3D; raises ValueError if w has neither dim nor dim + 1 components.
     """
-    dim = w.ufl_domain().geometric_dimension()
+    dim = fenicsx.dimension(w)
     if w.ufl_shape not in ((dim,), (dim + 1,)):
         raise ValueError(f"the unknown must have {dim} or {dim + 1} components, not {w.ufl_shape}")
     if kinematics not in ("small", "finite"):
@@ -116,12 +116,12 @@ def volume_measure(w: Any) -> Any:
     keeps a uniform stress in equilibrium there: degree (d - 1)(p - 1) from the cofactor of the geometry's
     gradient and p - 1 from that of v. On tensor cells the Gauss rule of p + 1 points a direction does both.
     """
-    domain = w.ufl_domain()
+    domain = fenicsx.domain(w)
     order = fenicsx.degree(w)
-    if domain.ufl_cell().cellname() in ("quadrilateral", "hexahedron"):
+    if fenicsx.cell_name(domain) in ("quadrilateral", "hexahedron"):
         degree = 2 * order
     else:
-        degree = domain.geometric_dimension() * (order - 1)
+        degree = fenicsx.dimension(w) * (order - 1)
     return ufl.dx(domain=domain, degree=degree)
 
 
@@ -151,8 +151,8 @@ def boundary_loads(
     potential_scale v_psi. In plane stress a load acts per reference thickness. Raises ValueError for a charge
     without a potential.
     """
-    domain = w.ufl_domain()
-    dim = domain.geometric_dimension()
+    domain = fenicsx.domain(w)
+    dim = fenicsx.dimension(w)
     degree = 2 * fenicsx.degree(w)
     normal = ufl.FacetNormal(domain)
     if kinematics == "finite":
@@ -183,7 +183,7 @@ def _strains(dim: int) -> int:
 
 
 def _displacement_gradient(w: Any) -> Any:
-    dim = w.ufl_domain().geometric_dimension()
+    dim = fenicsx.dimension(w)
     gradient = ufl.grad(w)
     return ufl.as_matrix([[gradient[i, j] for j in range(dim)] for i in range(dim)])
 

@@ -44,7 +44,8 @@ launch=(mpirun -n "$ranks")
 if [[ -n ${LAUNCHER:-} ]]; then
     read -ra launch <<<"$LAUNCHER" # such as "srun --mpi=pmix"
 elif [[ -z ${SLURM_JOB_ID:-} ]]; then
-    launch+=(--oversubscribe) # by hand, more ranks than cores are allowed
+    # By hand, more ranks than cores are allowed, in the words of Open MPI 4 and 5.
+    export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
 fi
 if [[ $EUID == 0 ]]; then
     export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1

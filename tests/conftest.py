@@ -36,9 +36,30 @@ GUARD = WORLD.Dup()
 PASSED, SKIPPED, FAILED = range(3)
 
 
+# What mpirun's options would say, in the words of all versions (see scripts/setup).
+LAUNCH = {
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+    "OMPI_MCA_orte_execute_quiet": "1",
+    "OMPI_MCA_btl": "^tcp",
+    **({"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"} if os.geteuid() == 0 else {}),
+}
+
+
+def launched_ranks() -> int:
+    """How many ranks mpirun started: Open MPI's or MPICH's word for it, 0 without mpirun."""
+    return int(os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or 0)
+
+
+def bare_environment() -> dict[str, str]:
+    """The environment for a process that is not to take itself for one of this process's ranks."""
+    launchers = ("OMPI_", "PMI", "PRTE_", "SLURM_")
+    return {name: value for name, value in os.environ.items() if not name.startswith(launchers)}
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    launched = int(os.environ.get("OMPI_COMM_WORLD_SIZE", WORLD.size))
+    launched = launched_ranks() or WORLD.size
     if launched != WORLD.size:
         raise pytest.UsageError(
             f"mpirun started {launched} ranks but mpi4py sees {WORLD.size}: they belong to different MPIs"
@@ -151,14 +172,11 @@ def mpirun() -> Callable[..., subprocess.CompletedProcess[str]]:
 
     Keywords go on to subprocess.run. For tests that are not parallel themselves; one rank's error ends all.
     """
-    # What this process's own MPI left in the environment is not for its children.
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_"))}
-    if os.geteuid() == 0:
-        clean |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    environment = bare_environment() | LAUNCH
 
     def run(ranks: int, *arguments: str | Path, **keywords: Any) -> subprocess.CompletedProcess[str]:
-        command = ["mpirun", "--quiet", "--oversubscribe", "-n", str(ranks), sys.executable, "-m", "mpi4py"]
-        options = {"env": clean, "stdin": subprocess.DEVNULL, "capture_output": True, "text": True}
+        command = ["mpirun", "-n", str(ranks), sys.executable, "-m", "mpi4py"]
+        options = {"env": environment, "stdin": subprocess.DEVNULL, "capture_output": True, "text": True}
         return subprocess.run([*command, *arguments], **(options | keywords))
 
     return run

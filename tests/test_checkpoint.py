@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 import app.checkpoint
 from app.checkpoint import CheckpointError, load, save
+from tests.conftest import bare_environment
 
 NODES = 1000
 POINTS = 300
@@ -229,13 +230,11 @@ for step in range(1, 10**6):
 def test_killed_at_any_moment(tmp_path: Path, comm: MPI.Comm) -> None:
     """A process that saves one step after the other is killed outright; its newest file is whole."""
     root = Path(__file__).resolve().parents[1]
-    # under mpirun the process would take itself for one of its ranks
-    alone = {name: value for name, value in os.environ.items() if not name.startswith(("OMPI_", "PMIX_"))}
     steps = []
     rng = np.random.default_rng(3)
     for _ in range(4):
         process = subprocess.Popen(
-            [sys.executable, "-c", FOREVER, str(tmp_path)], cwd=root, env=alone, stdout=subprocess.PIPE
+            [sys.executable, "-c", FOREVER, str(tmp_path)], cwd=root, env=bare_environment(), stdout=subprocess.PIPE
         )
         assert process.stdout is not None
         process.stdout.readline()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -19,6 +18,7 @@ from mpi4py import MPI
 import app
 from app import cli, scene_file
 from app.scene import Scene, SceneError
+from tests.conftest import LAUNCH, bare_environment
 from tests.test_malformed import OVERLAPPING, OVERLAPPING_SCENE, SQUARE, SQUARE_SCENE
 
 ROOT = Path(__file__).parent.parent
@@ -302,12 +302,8 @@ def test_resume_without_a_checkpoint(
 
 @pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun")
 def test_one_line_under_mpirun(scene: Path) -> None:
-    # Without the traces of the MPI that this process runs in; containers run tests as root.
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI", "PMI"))}
-    root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    environment = {**clean, **root, "PYTHONPATH": str(ROOT)}
-    ranks = ["mpirun", "--oversubscribe", "-n", "2", sys.executable]
-    command = [*ranks, "-m", "app", "run", "halves.toml", "--set", "mesh.size=-1"]
+    environment = bare_environment() | LAUNCH | {"PYTHONPATH": str(ROOT)}
+    command = ["mpirun", "-n", "2", sys.executable, "-m", "app", "run", "halves.toml", "--set", "mesh.size=-1"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert done.stderr.count("halves.toml: mesh.size: found -1; allowed: a number > 0\n") == 1

@@ -32,6 +32,7 @@ from app.results import (
     read_history,
     versions,
 )
+from tests.conftest import bare_environment
 
 COLUMNS = ["step", "stage", "factor:press", "force_x@a, b", 'charge@"top"', "newton", "seconds"]
 # number of nodes of each (cell, order)
@@ -160,11 +161,9 @@ for step in range(1, 10**6):
 
 def test_history_of_a_killed_process_is_whole(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[1]
-    # under mpirun the process would take itself for one of its ranks
-    alone = {name: value for name, value in os.environ.items() if not name.startswith(("OMPI_", "PMIX_"))}
     rng = np.random.default_rng(5)
     for _ in range(3):
-        process = subprocess.Popen([sys.executable, "-c", FOREVER, str(tmp_path)], cwd=root, env=alone)
+        process = subprocess.Popen([sys.executable, "-c", FOREVER, str(tmp_path)], cwd=root, env=bare_environment())
         while not list(tmp_path.glob("history.csv")) and process.poll() is None:
             time.sleep(0.001)
         time.sleep(float(rng.uniform(0.05, 0.15)))

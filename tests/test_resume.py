@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import random
 import signal
 import subprocess
@@ -24,6 +23,7 @@ from app.progress import Progress
 from app.results import Results, read_history
 from app.scene import Scene
 from app.simulation import Interrupted, run
+from tests.conftest import LAUNCH, bare_environment
 from tests.histories import Rows, assert_equal
 
 ROOT = Path(__file__).parent.parent
@@ -213,7 +213,8 @@ def test_signals(number: signal.Signals, ranks: int, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     (tmp_path / "told.py").write_text(TOLD_TO_STOP.format(after=AFTER), encoding="utf-8")
     done = launch(ranks, tmp_path, "told.py", str(int(number)), "run", "scene.toml", "--out", "out")
-    assert done.stderr == f"interrupted: steps 1 to {AFTER} are kept in out\n"
+    told = f"interrupted: steps 1 to {AFTER} are kept in out\n"
+    assert done.stderr.startswith(told) if ranks > 1 else done.stderr == told  # Open MPI 5 tells of ranks in error
     assert done.returncode == 1 and done.stdout.count("step ") == AFTER
     check_files(tmp_path / "out", finished=False)
     assert len(read_history(tmp_path / "out" / "history.csv")) == AFTER
@@ -246,15 +247,13 @@ def test_killed_at_any_moment(tmp_path: Path, whole: Rows) -> None:
 
 
 def environment() -> dict[str, str]:
-    """This process's, without the traces of the MPI that it runs in; containers run tests as root."""
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_"))}
-    root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    return {**clean, **root, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    """This process's, without the traces of the MPI that it runs in."""
+    return bare_environment() | LAUNCH | {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def launch(ranks: int, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Python with these arguments on so many ranks."""
-    mpirun = ["mpirun", "--quiet", "--oversubscribe", "-n", str(ranks)] if ranks > 1 else []
+    mpirun = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     command = [*mpirun, sys.executable, *arguments]
     options: dict[str, Any] = {"capture_output": True, "text": True, "stdin": subprocess.DEVNULL, "timeout": 120}
     return subprocess.run(command, cwd=folder, env=environment(), **options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -20,6 +19,7 @@ from app import scene_file, simulation
 from app.output import FieldOutput
 from app.scene import Scene
 from tests import references as ref
+from tests.conftest import bare_environment
 
 ROOT = Path(__file__).parent.parent
 SCENES = ROOT / "app" / "scenes"
@@ -58,8 +58,7 @@ def column(history: list[dict[str, Any]], name: str) -> np.ndarray:
 
 def call(*command: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
     """A program that knows nothing of the MPI that this process runs in."""
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "SLURM_"))}
-    environment = clean | {"PYTHONPATH": str(ROOT), "PYTHON": sys.executable} | options.pop("env", {})
+    environment = bare_environment() | {"PYTHONPATH": str(ROOT), "PYTHON": sys.executable} | options.pop("env", {})
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, **options)
 
 
