@@ -185,7 +185,8 @@ def _scene(options: argparse.Namespace, comm: MPI.Comm) -> Scene:
 def _scene_of_run(out: Path) -> Scene:
     """The scene of a run, with the run's own copy of a mesh file, which may have changed since."""
     path, mesh = out / "scene.toml", out / "checkpoint" / "mesh.msh"
-    from_file = "file" in scene_file.read(path).get("geometry", {})
+    geometry = scene_file.read(path).get("geometry", {})
+    from_file = "file" in geometry and "shape" not in geometry
     copy = [f"geometry.file={json.dumps(str(mesh.absolute()))}"] if from_file and mesh.is_file() else []
     return Scene.load(path, copy)
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from app import fenicsx
 from app.contact import Contact
 from app.model import Model
+from app.scene_errors import named
 from app.solver import DIRECT_LIMIT_3D, is_direct
 
 AXES = "xyz"
@@ -16,6 +17,7 @@ def plan_text(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, 
     """The plan as lines of `what: choice (why)`. Collective; the same text on all ranks."""
     lines = [
         ("scene", model.scene.title),
+        *_recipe(model),
         ("mesh", _mesh(model)),
         ("unknowns", _unknowns(model)),
         ("material law", _law(model)),
@@ -31,13 +33,18 @@ def plan_text(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, 
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 
 
+def _recipe(model: Model) -> list[tuple[str, str]]:
+    outcome = model.scene.outcome
+    return [] if outcome is None else [("recipe", str(outcome))]
+
+
 def _mesh(model: Model) -> str:
     topology = model.mesh.topology
     cells = topology.index_map(model.dim).size_global
     name = fenicsx.cell_name(model.mesh)
     bodies = model.bodies.bodies
     parts = len(model.bodies.part_bodies)
-    text = f"{cells} cells ({name}, order {model.bodies.order}), {len(bodies)} bodies: {', '.join(bodies)}"
+    text = f"{cells} cells ({name}, order {model.bodies.order}), {len(bodies)} bodies: {named(bodies)}"
     return text if parts == len(bodies) else f"{text}; {parts} connected parts"
 
 
@@ -65,13 +72,15 @@ def _law(model: Model) -> str:
 
 
 def _held(model: Model) -> str:
+    bodies = model.bodies
+    names = ["+".join(bodies.bodies[i] for i in members) for members in bodies.part_bodies]
+    free = [name for name, floats in zip(names, model.floating[:, 0], strict=True) if floats]
+    charged = [name for name, floats in zip(names, model.floating[:, 1], strict=True) if floats]
     notes = []
-    for part, (free, charged) in enumerate(model.floating):
-        names = "+".join(model.bodies.bodies[i] for i in model.bodies.part_bodies[part])
-        if free:
-            notes.append(f"{names} is held by contact at most and gets weak springs to where it was")
-        if charged:
-            notes.append(f"{names} has no potential given and gets a weak link to the potential it had")
+    if free:
+        notes.append(f"by contact at most, with weak springs to where they were: {named(free)}")
+    if charged:
+        notes.append(f"without a potential given, with a weak link to the one they had: {named(charged)}")
     return "; ".join(notes) or "every part by its boundaries"
 
 
@@ -83,7 +92,7 @@ def _contact(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, s
     where = {"node": "at the slave nodes", "point": "at quadrature points of the slave facets"}[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
     both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
-    names = ", ".join("-".join(pair) for pair in pairs)
+    names = named(["-".join(pair) for pair in pairs])
     return f"{len(pairs)} pairs ({names}), {where}, {passes}, {points} points, penalties for {both}"
 
 

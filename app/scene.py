@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
 
@@ -48,7 +48,8 @@ class Groups(NamedTuple):
 
 def _branch(geometry: Any) -> str:
     """The branch of `Geometry` that a table of keys or a geometry belongs to."""
-    file = isinstance(geometry, MeshFile) or (isinstance(geometry, dict) and "file" in geometry)
+    given = isinstance(geometry, dict) and "file" in geometry and "shape" not in geometry
+    file = given or isinstance(geometry, MeshFile)
     return "mesh file" if file else "built shape"
 
 
@@ -65,7 +66,9 @@ class Scene(Keys):
     mesh: MeshKeys = Field(default_factory=MeshKeys)
     model: ModelKeys = Field(default_factory=ModelKeys)
     materials: dict[Name, MaterialKeys] = Field({}, description="materials of the scene by name")
-    bodies: dict[str, Name] = Field(description="body = material of the scene or built-in material")
+    bodies: dict[str, Name] = Field(
+        description='body, or pattern of bodies such as "ply_1_*" = material of the scene or built-in material'
+    )
     boundaries: Annotated[list[Boundary], Field(min_length=1)]
     contact: Contact | None = None
     load: Load = Field(default_factory=Load)
@@ -102,7 +105,7 @@ class Scene(Keys):
     @property
     def electric(self) -> bool:
         """Whether any body carries a potential."""
-        return any(self.material(body).permittivity is not None for body in self.bodies)
+        return any(self.oriented(name).permittivity is not None for name in set(self.bodies.values()))
 
     @property
     def sizes(self) -> MeshSizes:
@@ -111,9 +114,14 @@ class Scene(Keys):
         contact_size = self.mesh.contact_size or size
         return MeshSizes(size, contact_size, self.mesh.order, self.mesh.cells, dict(self.mesh.size_factors))
 
+    @cached_property
+    def outcome(self) -> object | None:
+        """What the recipe of the geometry came to, to be shown in words; None for a geometry that is no recipe."""
+        return None if isinstance(self.geometry, MeshFile) else self.geometry.outcome()
+
     def material(self, body: str) -> Material:
         """The material of a body in global axes."""
-        return self.oriented(self.bodies[body])
+        return self.oriented(self.bodies[scene_checks.key_of(body, self.bodies)])
 
     def oriented(self, name: str) -> Material:
         """A material of the scene, or else a built-in one, with its axes along poling (3) and axis1."""
@@ -178,7 +186,10 @@ def schema() -> dict[str, Any]:
 def _groups_of(geometry: Any) -> Groups:
     """The names that a geometry offers. Raises SceneError for a mesh file that cannot be read."""
     if not isinstance(geometry, MeshFile):
-        return Groups(geometry.dimension, geometry.bodies(), geometry.facet_groups())
+        try:
+            return Groups(geometry.dimension, geometry.bodies(), geometry.facet_groups())
+        except MeshError as error:
+            raise mesh_error(error) from None
     if not geometry.file.is_file():
         raise SceneError("geometry.file", f"{shown(str(geometry.file))}: no such file", "a gmsh mesh (MSH 2.2 or 4.1)")
     try:
@@ -189,7 +200,7 @@ def _groups_of(geometry: Any) -> Groups:
 
 def mesh_error(error: MeshError) -> SceneError:
     """A MeshError as an error of the scene, under the key that is to blame."""
-    words = {"geometry.file": "a gmsh mesh (MSH 2.2 or 4.1) of bodies", "out": "a file that can be written"}
+    words = {"geometry.file": "a file of the geometry that can be used", "out": "a file that can be written"}
     key = "--out" if error.key == "out" else error.key
     return SceneError(key, str(error), words.get(error.key, "dimensions and sizes that can be meshed"))
 
@@ -200,9 +211,9 @@ def _check_geometry_kind(geometry: Any) -> None:
         return
     tables = [table.get("properties", {}) for table in schema()["$defs"].values()]
     shapes = [keys["shape"]["const"] for keys in tables if "shape" in keys]
-    if "file" in geometry and "shape" in geometry:
-        raise SceneError("geometry.file", "both shape and file", "either shape or file")
-    if "file" not in geometry and geometry.get("shape") not in shapes:
+    if "file" in geometry and geometry.get("shape", "fibers") != "fibers":
+        raise SceneError("geometry.file", "both shape and file", 'either shape or file, or shape = "fibers" and file')
+    if ("file" not in geometry or "shape" in geometry) and geometry.get("shape") not in shapes:
         if "shape" not in geometry:
             raise SceneError("geometry.shape", "nothing", f"{named(shapes)}; or file = a gmsh mesh")
         raise unknown_name("geometry.shape", geometry["shape"], "a known shape", shapes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from app.scene_errors import SceneError, named, unknown_name
@@ -15,17 +17,23 @@ if TYPE_CHECKING:
 OVERLAP = 0.1  # of the size of the smallest body, at the start
 
 
+def key_of(body: str, keys: Iterable[str]) -> str | None:
+    """The key that stands for a body: its name, or else the first pattern that fits it; None for none."""
+    keys = list(keys)
+    return body if body in keys else next((key for key in keys if "*" in key and fnmatchcase(body, key)), None)
+
+
 def bodies(scene: Scene) -> None:
-    """Every body of the geometry has a material that exists, and every key is a body."""
+    """Every body of the geometry has a material that exists, and every key is a body or fits one."""
     known = scene.body_names
     for body, material in scene.bodies.items():
-        if body not in known:
-            raise unknown_name(f"bodies.{body}", body, "a body of the geometry", known)
+        if body not in known and not ("*" in body and any(fnmatchcase(name, body) for name in known)):
+            raise unknown_name(f"bodies.{body}", body, "a body of the geometry, or a pattern", known)
         if material not in scene.materials and material not in BUILT_IN:
             names = list(dict.fromkeys([*scene.materials, *BUILT_IN]))
             raise unknown_name(f"bodies.{body}", material, "a material of the scene or a built-in one", names)
     for body in known:
-        if body not in scene.bodies:
+        if key_of(body, scene.bodies) is None:
             raise SceneError(f"bodies.{body}", "nothing", "a material of the scene or a built-in one for every body")
 
 
@@ -35,7 +43,7 @@ def mesh(scene: Scene) -> None:
     if scene.mesh.size is None and not counted:
         raise SceneError("mesh.size", "nothing", "a number > 0: the size of elements far from contact, um")
     for body in scene.mesh.size_factors:
-        if body not in scene.bodies:
+        if body not in scene.body_names:
             raise unknown_name(f"mesh.size_factors.{body}", body, "a body of the geometry", scene.body_names)
     if scene.dimension == 3 and scene.model.plane == "stress":
         raise SceneError("model.plane", '"stress"', 'nothing but "strain" in three dimensions')
@@ -103,7 +111,7 @@ def contact(scene: Scene) -> None:
         return
     pairs = scene.contact.pairs
     if pairs == "auto":
-        if len(scene.bodies) < 2:
+        if len(scene.body_names) < 2:
             raise SceneError("contact.pairs", '"auto" with one body', 'two bodies, or [["slave", "master"], ...]')
         return
     known = list(dict.fromkeys([*scene.body_names, *scene.facet_groups]))

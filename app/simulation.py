@@ -140,6 +140,8 @@ class _Session:
         reason = "all load steps converged"
         failure: Exception | None = None
         with progress:
+            if self.scene.outcome is not None:
+                log.info("%s", self.scene.outcome)
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.direct, self.pairs))
             for step in todo:
                 if stop.asked():

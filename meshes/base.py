@@ -32,3 +32,7 @@ class Shape(BaseModel):
     def build(self, sizes: MeshSizes) -> None:
         """Draw and mesh into the current gmsh model, with the bodies and facet groups as physical groups."""
         raise NotImplementedError
+
+    def outcome(self) -> object | None:
+        """What a recipe came to, to be shown in words; None for a shape that is no recipe."""
+        return None

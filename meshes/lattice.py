@@ -122,7 +122,7 @@ class Pieces:
     def add(self, *pieces: Piece) -> None:
         """Add pieces that share the points where they meet, and none with pieces added before."""
         x = np.concatenate([piece.lattice.points.reshape(-1, piece.lattice.points.shape[-1]) for piece in pieces])
-        number = _merged(x) if len(pieces) > 1 else np.arange(len(x))
+        number = merged(x) if len(pieces) > 1 else np.arange(len(x))
         _, first = np.unique(number, return_index=True)
         x = np.pad(x[first], ((0, 0), (0, 3 - x.shape[1])))
         tags = self.nodes + 1 + np.arange(len(x))
@@ -155,7 +155,7 @@ class Pieces:
         gmsh_model.add_groups(self.dim - 1, {name: self.groups[name] for name in groups})
 
 
-def _merged(x: NDArray[np.float64]) -> NDArray[np.int64]:
+def merged(x: NDArray[np.float64]) -> NDArray[np.int64]:
     """New number of each point (n, d) such that points in the same place have the same one."""
     pairs = cKDTree(x).query_pairs(1e-9 * float(np.ptp(x, axis=0).max()), output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))

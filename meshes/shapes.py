@@ -8,19 +8,34 @@ from pydantic import Field
 
 from meshes.base import Shape
 from meshes.blocks import Cantilever, StackedBlocks
+from meshes.fiber_array import FiberArray
 from meshes.fibers import CrossedFibers, FacingHalves, FiberOnBlock, ParallelFibers
+from meshes.recipes import CrossPly, Fibers, Mat
 from meshes.sizes import MeshSizes
 
 Shapes = Annotated[
-    FacingHalves | CrossedFibers | ParallelFibers | FiberOnBlock | StackedBlocks | Cantilever,
+    FacingHalves
+    | CrossedFibers
+    | ParallelFibers
+    | FiberOnBlock
+    | StackedBlocks
+    | Cantilever
+    | FiberArray
+    | CrossPly
+    | Mat
+    | Fibers,
     Field(discriminator="shape"),
 ]
 
 __all__ = [
     "Cantilever",
+    "CrossPly",
     "CrossedFibers",
     "FacingHalves",
+    "FiberArray",
     "FiberOnBlock",
+    "Fibers",
+    "Mat",
     "MeshSizes",
     "ParallelFibers",
     "Shape",
