@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import reductions
+from app.planes import PlanePass
 from forms.contact.facets import FacetKind
 from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints, contact_vectors
@@ -38,8 +39,9 @@ class ContactPass:
 
     `share` is the pass's share of the contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the
     points near the master, `facet` and `xi` their partners in `visible` and where; the last evaluation is kept, with
-    `force` (d,) on this rank's slave facets. size (m,): size of each point's slave facet, um. depth: a point further
-    inside a body than this (um) has come from its far side and meets nothing.
+    `force` (d,) on this rank's slave facets and the `position` (m, d) of the points that met a facet. size (m,): size
+    of each point's slave facet, um. depth: a point further inside a body than this (um) has come from its far side and
+    meets nothing.
     """
 
     pair: int
@@ -64,6 +66,7 @@ class ContactPass:
     response: Response | None = field(init=False, default=None)
     jump: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
+    position: Array = field(init=False)
 
     def __post_init__(self) -> None:
         self.history = History.virgin(len(self.points.weight))
@@ -94,10 +97,13 @@ class Contact:
         space: Any,
         coordinates: PETSc.Vec,
         passes: Sequence[ContactPass],
+        planes: Sequence[PlanePass],
         potential_scale: float | None,
     ) -> None:
         self.comm = comm
         self.passes = list(passes)
+        self.planes = list(planes)
+        self.every: list[ContactPass | PlanePass] = [*passes, *planes]
         self.space = space
         self.dim = space.mesh.geometry.dim
         self.components = space.dofmap.index_map_bs
@@ -108,14 +114,15 @@ class Contact:
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
         self._dragged = False
-        sizes = [np.log(p.size) for p in self.passes]
+        self._of_planes: list[ContactTerms] = [_nothing(p.slave.kind, self.components, False) for p in self.planes]
+        sizes = [np.log(p.size) for p in self.every]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
         self.drag_work = 0.0  # done against the drag in the last converged part of a step, pJ
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self._facet = float(np.exp(total[0] / total[1]))
-        self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.passes), op=MPI.MAX)
-        self.reach = comm.allreduce(max(p.law.reach for p in self.passes), op=MPI.MAX)
+        self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
+        self.reach = comm.allreduce(max(p.law.reach for p in self.every), op=MPI.MAX)
 
     def pair(self, state: PETSc.Vec, local_state: Array, local_coordinates: Array, margin: float) -> None:
         """Find anew, at this state, which facets each rank must see and which points are near.
@@ -133,6 +140,7 @@ class Contact:
             own = VisibleFacets(_global(index_map, p.master.nodes), p.master.orientation, p.master.key)
             p.visible = share_facets(self.comm, slave, own, master, margin)
             needed += [_global(index_map, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
+        needed += [_global(index_map, p.slave.nodes).ravel() for p in self.planes[:1]]  # all planes meet the same
         self.nodes = np.unique(np.concatenate(needed)) if needed else np.zeros(0, np.int64)
         self._scatter(state)
         values = self._gather(state)
@@ -146,6 +154,9 @@ class Contact:
             p.rows = np.flatnonzero(near_points(points, position[p.master_nodes], margin))
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
+        for p in self.planes:
+            p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
+            p.look(position, margin)
         self.outgrown = False
         self._keep = KEEP[0][1]
 
@@ -167,14 +178,15 @@ class Contact:
         potentials = values[:, self.dim] if self.potential_scale is not None else None
         try:
             terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
+            terms += [self._meet(p, position, potentials, tangent) for p in self.planes]
         except (np.linalg.LinAlgError, ValueError) as error:
             log.debug("contact cannot be evaluated at this state: %s", error)
             terms = None
         # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
         self.broken = self.comm.allreduce(terms is None, op=MPI.LOR)
         if self.broken:
-            terms = [_nothing(p.slave.kind, self.components, tangent) for p in self.passes]
-        size = 2 * len(self.passes[0].slave.kind.nodes)
+            terms = [_nothing(p.slave.kind, self.components, tangent) for p in self.every]
+        size = 2 * len(self.every[0].slave.kind.nodes)
         nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
         vectors = np.concatenate([t.vectors for t in terms])
         return ContactTerms(nodes, vectors, np.concatenate([t.matrices for t in terms]) if tangent else None)
@@ -201,7 +213,37 @@ class Contact:
             facets, partners = p.points.facet[p.rows[p.met[near]]], p.facet[p.met[near]]
             pairs = np.unique(np.stack([facets, partners], axis=1), axis=0)
             sets.append(np.concatenate([p.slave_nodes[pairs[:, 0]], p.master_nodes[pairs[:, 1]]], axis=1))
+        for p in self.planes:
+            near = p.projection.gap < p.law.reach + 0.5 * p.size[p.rows]
+            nodes = p.slave_nodes[np.unique(p.points.facet[p.rows[near]])]
+            sets.append(np.concatenate([nodes, nodes], axis=1))
         return self.nodes[np.concatenate(sets)]
+
+    def move_planes(self, factors: dict[str, float]) -> None:
+        """Bring the planes to a load level."""
+        for p in self.planes:
+            p.move(factors)
+
+    def planes_move_by(self) -> float:
+        """How far planes are from where the last converged step left them, um."""
+        return max((float(np.abs(p.offset - p.last_offset).max()) for p in self.planes), default=0.0)
+
+    def add_forces_of_planes(self, residual: PETSc.Vec) -> None:
+        """Add the planes' share of the last evaluation to a distributed residual."""
+        for p, terms in zip(self.planes, self._of_planes, strict=True):
+            self._add(terms.nodes.reshape(-1, 2 * len(p.slave.kind.nodes)), terms.vectors, residual)
+
+    def _meet(self, p: PlanePass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
+        facet, nodes, vectors, matrices = p.evaluate(
+            position, potentials, self.components, self.potential_scale, tangent
+        )
+        # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
+        nodes, vectors = np.concatenate([nodes, nodes], axis=1), np.pad(vectors, ((0, 0), (0, nodes.shape[1]), (0, 0)))
+        if matrices is not None:
+            matrices = np.pad(matrices, ((0, 0), *((0, matrices.shape[1]),) * 2))
+        terms = _sum_by_pair(facet, nodes, vectors, matrices)
+        self._of_planes[p.pair - self.planes[0].pair] = terms
+        return terms
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
         local = np.zeros((len(self.nodes), self.components))
@@ -215,7 +257,7 @@ class Contact:
         With a share of 1 no point of the interface softens, and a part of a step has one solution.
         """
         self._dragged = True
-        for p in self.passes:
+        for p in self.every:
             if p.law.adhesion is None:
                 continue
             rows = p.rows[p.met]
@@ -227,14 +269,16 @@ class Contact:
     def let_go(self) -> None:
         """End `hold_back`."""
         self._dragged = False
-        for p in self.passes:
+        for p in self.every:
             p.drag = Drag.none(len(p.points.weight))
 
     def commit(self) -> None:
         """Let the history take in the last evaluation, the end of a converged step or of a part of one."""
         self.last_penetration = self.penetration()
+        for p in self.planes:
+            p.last_offset = p.offset
         self.drag_work = self._drag_work() if self._dragged else 0.0
-        for p in self.passes:
+        for p in self.every:
             near, gap = p.rows[p.met], p.projection.gap
             advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
             p.history = p.law.lost(p.history)
@@ -244,7 +288,7 @@ class Contact:
     def _drag_work(self) -> float:
         """Work against the drag since `hold_back`: mean of its tractions now and at the end of the part before."""
         work = 0.0
-        for p in self.passes:
+        for p in self.every:
             rows, gap = p.rows[p.met], p.projection.gap
             traction = p.drag.traction(gap, rows)
             mean = 0.5 * (traction + p.drag.before[rows])
@@ -268,7 +312,7 @@ class Contact:
 
     def penetration(self) -> float:
         """Deepest penetration of the last evaluation, um."""
-        gaps = [p.projection.gap for p in self.passes if p.projection is not None]
+        gaps = [p.projection.gap for p in self.every if p.projection is not None]
         deepest = max((float(-gap.min(initial=0.0)) for gap in gaps), default=0.0)
         return self.comm.allreduce(deepest, op=MPI.MAX)
 
@@ -279,7 +323,7 @@ class Contact:
         and what broken ones have dissipated.
         """
         sums = np.zeros(4)
-        for p in self.passes:
+        for p in self.every:
             far = np.ones(len(p.points.weight), bool)
             far[p.rows[p.met]] = False
             apart = np.full(int(far.sum()), 1e30)
@@ -298,6 +342,7 @@ class Contact:
         points = np.einsum("mk,mkd->md", p.points.shape[p.rows], position[slave])
         self._partners(p, points, position)
         p.met = np.flatnonzero(p.facet >= 0)
+        p.position = points[p.met]
         facet, rows = p.facet[p.met], p.rows[p.met]
         master = p.master_nodes[facet]
         p.projection = project(kind, points[p.met], position[master], p.visible.orientation[facet], p.xi[p.met])

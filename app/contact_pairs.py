@@ -8,13 +8,17 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from app import fenicsx
+from app import fenicsx, reductions
 from app.contact import Contact, ContactPass
 from app.model import Model
+from app.planes import PlanePass
 from app.scene_errors import SceneError
+from app.scene_sections import SIDES, Plane
+from app.scene_sections import Contact as ContactKeys
 from forms.contact.integrals import nodal_points, quadrature_points
 from forms.contact.laws import Adhesion, InterfaceLaw
 from forms.contact.lennard_jones import LennardJones
+from forms.materials import Material
 from meshes.surface import Surface, body_facets, multiplicity, surface
 
 Array = NDArray[np.float64]
@@ -24,6 +28,8 @@ FADE = 0.1  # default gap over which the electric contact fades out, in facet si
 
 def pair_names(model: Model) -> list[tuple[str, str]]:
     """The pairs of the scene; "auto": every two bodies that share no node."""
+    if model.scene.contact is None:
+        return []
     given = model.scene.contact.pairs
     if given != "auto":
         return [(a, b) for a, b in given]
@@ -34,22 +40,60 @@ def pair_names(model: Model) -> list[tuple[str, str]]:
 
 
 def contact_of(model: Model) -> Contact | None:
-    """The contact of a model, or None without a [contact] section. Collective. Raises SceneError on all ranks."""
+    """The contact of a model; None without [contact] and [[planes]]. Collective. Raises SceneError on all ranks."""
     keys = model.scene.contact
-    if keys is None:
+    if keys is None and not model.scene.planes:
         return None
     surfaces: dict[str, Surface] = {}
     passes = []
-    for number, pair in enumerate(pair_names(model)):
+    pairs = pair_names(model)
+    for number, pair in enumerate(pairs):
         for name in pair:
             if name not in surfaces:
                 surfaces[name] = _surface(model, name, f"contact.pairs[{number}]")
         directions = [pair, pair[::-1]][: keys.passes]
         for first, (slave, master) in zip((True, False), directions, strict=False):
             passes.append(_pass(model, number, surfaces[slave], surfaces[master], first))
-    if not passes:
+    if not passes and keys is not None:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
-    return Contact(model.comm, model.space, model.coordinate_vector(), passes, model.potential_scale)
+    planes = _planes(model, len(pairs))
+    return Contact(model.comm, model.space, model.coordinate_vector(), passes, planes, model.potential_scale)
+
+
+def _planes(model: Model, first_number: int) -> list[PlanePass]:
+    """The planes of the scene, which the outside of all bodies meets."""
+    if not model.scene.planes:
+        return []
+    keys = model.scene.contact or ContactKeys()
+    outside = surface(model.space, "outside", fenicsx.exterior_facets(model.mesh), model.bodies.order)
+    points = quadrature_points(outside.kind, outside.reference)
+    if keys.method == "node":
+        points = nodal_points(outside.kind, outside.reference)
+    size = _facet_sizes(outside)[points.facet]
+    body = model.bodies.cell_body[outside.cells[points.facet]]
+    stiffness = np.array([stiffness_of(m) for m in model.materials])[body]
+    permittivity = np.array([permittivity_of(m) for m in model.materials])[body]
+    low = reductions.least(model.comm, model.coordinates.min(axis=0, initial=np.inf))
+    high = reductions.largest(model.comm, model.coordinates.max(axis=0, initial=-np.inf))
+    found = []
+    for number, plane in enumerate(model.scene.planes, start=first_number):
+        start, normal = _place(plane, np.stack([low, high]))
+        electric = permittivity if plane.potential is not None else None
+        law = _interface_law(keys, size, stiffness, electric, None)
+        found.append(PlanePass(number, plane, start, normal, outside, points, law, size))
+    return found
+
+
+def _place(plane: Plane, box: Array) -> tuple[Array, Array]:
+    """A point (d,) of the plane and its unit normal (d,); box (2, d): low and high ends of all bodies."""
+    dim = box.shape[1]
+    if isinstance(plane.point, str):
+        axis, end = SIDES[dim][plane.point]
+        inward = np.eye(dim)[axis] * (1.0 if end == 0 else -1.0)
+        start, normal = box[end] * np.eye(dim)[axis], np.asarray(plane.normal or inward, float)
+    else:
+        start, normal = np.asarray(plane.point, float), np.asarray(plane.normal, float)
+    return start, normal / np.linalg.norm(normal)
 
 
 def _surface(model: Model, name: str, key: str) -> Surface:
@@ -73,19 +117,39 @@ def _pass(model: Model, number: int, slave: Surface, master: Surface, first: boo
         points = nodal_points(slave.kind, slave.reference, shared)
     size = _facet_sizes(slave)[points.facet]
     materials = [model.materials[i] for i in _bodies_of(model, slave) | _bodies_of(model, master)]
-    stiffness = min(float(np.diag(m.stiffness)[:3].mean()) for m in materials)
+    stiffness = np.full(len(size), min(stiffness_of(m) for m in materials))
+    permittivity = np.full(len(size), min(permittivity_of(m) for m in materials))
+    # Where one of the bodies has no permittivity, no charge passes.
+    electric = permittivity if all(m.permittivity is not None for m in materials) else None
+    law = _interface_law(keys, size, stiffness, electric, model)
+    return ContactPass(number, slave, master, points, law, 1.0 / keys.passes, first, size, _depth(model, slave, master))
+
+
+def _interface_law(
+    keys: ContactKeys, size: Array, stiffness: Array, permittivity: Array | None, adhesive: Model | None
+) -> InterfaceLaw:
+    """The law at points with these facet sizes (m,), stiffnesses (m,) and permittivities (m,); adhesive: of a model."""
     penalty = np.full(len(size), keys.normal_penalty or 0.0)
     if keys.normal_penalty is None:
         penalty = keys.normal_penalty_factor * stiffness / size
     electric, fade = None, None
-    if all(m.permittivity is not None for m in materials):
-        permittivity = min(float(np.diag(m.permittivity).mean()) for m in materials)
-        electric = np.full(len(size), keys.electric_penalty or 0.0)
+    if permittivity is not None:
+        electric = np.where(permittivity > 0.0, keys.electric_penalty or 0.0, 0.0)
         if keys.electric_penalty is None:
             electric = keys.electric_penalty_factor * permittivity / size
         fade = FADE * size if keys.electric_range is None else np.full(len(size), keys.electric_range)
-    law = InterfaceLaw(penalty, _adhesion(model, penalty), electric, fade)
-    return ContactPass(number, slave, master, points, law, 1.0 / keys.passes, first, size, _depth(model, slave, master))
+    adhesion = _adhesion(adhesive, penalty) if adhesive is not None else None
+    return InterfaceLaw(penalty, adhesion, electric, fade)
+
+
+def stiffness_of(material: Material) -> float:
+    """Mean of the stiffnesses along the axes, MPa."""
+    return float(np.diag(material.stiffness)[:3].mean())
+
+
+def permittivity_of(material: Material) -> float:
+    """Mean permittivity, pC/(V um); 0 for a body without potential."""
+    return 0.0 if material.permittivity is None else float(np.diag(material.permittivity).mean())
 
 
 def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from app import reductions
 from app.contact import Contact
 from app.model import Condition, Model
+from app.planes import PlanePass
 from app.problem import Problem
 from app.stepping import Step, StepReport
 
@@ -29,6 +30,11 @@ def columns(model: Model, pairs: list[str]) -> list[str]:
         names += [f"force_{axis}@{on}" for axis in axes]
         if model.electric:
             names += [f"charge@{on}", f"mean_potential@{on}"]
+    for plane in model.scene.planes:
+        names += [f"force_{axis}@{plane.name}" for axis in axes]
+        names += [f"{name}@{plane.name}" for name in ("contact_area", "max_pressure", "max_penetration")]
+        if model.electric:
+            names += [f"charge@{plane.name}", f"mean_potential@{plane.name}"]
     for pair in pairs:
         names += [f"contact_force_{axis}@{pair}" for axis in axes]
         names += [f"{name}@{pair}" for name in ("contact_area", "max_pressure", "max_penetration")]
@@ -51,6 +57,23 @@ class Balance:
         self.stabilization = 0.0
         self.forces = problem.state.duplicate()
         self.forces.set(0.0)
+        self.remember_planes()
+
+    def remember_planes(self) -> None:
+        """Let the next part begin with what planes do at the last evaluation of contact."""
+        self.planes = self._of_planes()
+
+    def _of_planes(self) -> Array:
+        """Of each plane its force (d,), position (d,), charge and potential, (planes, 2 d + 2). Collective."""
+        contact = self.problem.contact
+        planes = contact.planes if contact is not None else []
+        d = self.problem.model.dim
+        values = np.zeros((len(planes), 2 * d + 2))
+        for row, p in zip(values, planes, strict=True):
+            row[:] = [*p.force, *p.offset, p.charge, p.potential or 0.0]
+        answers = [*range(d), 2 * d]
+        values[:, answers] = reductions.total(self.problem.comm, values[:, answers])
+        return values
 
     def take(self) -> None:
         """Add the part of a step that has just converged."""
@@ -64,10 +87,17 @@ class Balance:
         if problem.model.electric:
             work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
         self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
+        self._take_planes()
         self.stabilization += problem.grounding_work()
         if problem.contact is not None:
             self.stabilization += problem.contact.drag_work
         self.forces.array[:] = new.ravel()
+
+    def _take_planes(self) -> None:
+        d, new = self.problem.model.dim, self._of_planes()
+        mean, change = 0.5 * (new + self.planes), new - self.planes
+        self.external_work += float((mean[:, :d] * change[:, d : 2 * d]).sum() + mean[:, -1] @ change[:, -2])
+        self.planes = new
 
 
 def row(
@@ -89,6 +119,8 @@ def row(
     if problem.contact is not None:
         for number, pair in enumerate(pairs):
             values |= pair_values(problem.contact, number, pair, model.electric)
+        for plane in problem.contact.planes:
+            values |= plane_values(problem.contact, plane, model.electric)
         contact = problem.contact.energies()
     energies["electric"] += contact.pop("electric")
     values |= energies | contact
@@ -108,6 +140,29 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
     applied = sum(model.applied(condition, factors) for condition in conditions)
     return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
+
+
+def plane_values(contact: Contact, plane: PlanePass, electric: bool) -> dict[str, float]:
+    """Force that a plane exerts, area, largest pressure and penetration, charge of an electrode and its potential.
+
+    Of an insulator the mean potential is that of the surfaces on it, nan where nothing touches it. Collective.
+    """
+    d, gap = contact.dim, plane.projection.gap
+    area = plane.points.area[plane.rows]
+    closed = gap <= 0.0
+    potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
+    sums = reductions.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
+    pressure = -plane.response.slope * plane.points.weight[plane.rows] / area
+    largest = np.array([pressure.max(initial=0.0), -gap.min(initial=0.0)])
+    largest = reductions.largest(contact.comm, largest)
+    values = {f"force_{axis}@{plane.name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}
+    values |= {f"contact_area@{plane.name}": float(sums[d + 1])}
+    values |= {f"max_pressure@{plane.name}": float(largest[0]), f"max_penetration@{plane.name}": float(largest[1])}
+    if electric:
+        mean = float(sums[d + 2] / sums[d + 1]) if sums[d + 1] > 0.0 else float("nan")
+        values |= {f"charge@{plane.name}": float(sums[d])}
+        values |= {f"mean_potential@{plane.name}": mean if plane.potential is None else plane.potential}
+    return values
 
 
 def pair_values(contact: Contact, number: int, name: str, electric: bool) -> dict[str, float]:

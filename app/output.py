@@ -72,17 +72,15 @@ class FieldOutput:
 
 
 def contact_points(contact: Contact, electric: bool) -> ContactPoints:
-    """This rank's contact points near another surface, at the last evaluation."""
+    """This rank's contact points near another surface or a plane, at the last evaluation."""
     columns: list[list[Array]] = [[] for _ in range(7)]
-    for p in contact.passes:
+    for p in contact.every:
         rows = p.rows[p.met]
         gap = p.projection.gap
-        master = np.einsum("mk,mkd->md", p.master.kind.shape(p.projection.xi), p.projection.nodes)
-        position = master + gap[:, None] * p.projection.normal
         pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
         status = p.law[rows].status(gap, p.history[rows])
-        parts = [position, p.projection.normal, gap, pressure, status, np.full(len(gap), p.pair), jump]
+        parts = [p.position, p.projection.normal, gap, pressure, status, np.full(len(gap), p.pair), jump]
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)

@@ -24,6 +24,7 @@ def plan_text(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, 
         ("held", _held(model)),
         ("contact", _contact(model, contact, pairs)),
         ("adhesion", _adhesion(model)),
+        *_planes(model),
         ("load", _load(model)),
         ("solution", _solution(model, contact)),
         ("linear solver", _linear_solver(model)),
@@ -86,14 +87,27 @@ def _held(model: Model) -> str:
 
 def _contact(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, str]]) -> str:
     keys = model.scene.contact
-    if keys is None or contact is None:
+    if contact is None:
         return "none, since the scene has no [contact]"
+    if keys is None:
+        return "with planes alone, since the scene has no [contact]"
     points = model.comm.allreduce(sum(len(p.points.weight) for p in contact.passes))
     where = {"node": "at the slave nodes", "point": "at quadrature points of the slave facets"}[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
     both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
     names = named(["-".join(pair) for pair in pairs])
     return f"{len(pairs)} pairs ({names}), {where}, {passes}, {points} points, penalties for {both}"
+
+
+def _planes(model: Model) -> list[tuple[str, str]]:
+    notes = []
+    for plane in model.scene.planes:
+        kind = "insulator" if plane.potential is None else f"electrode at {plane.potential:g} V"
+        if plane.potential_follows is not None:
+            kind += f" times {plane.potential_follows}"
+        moves = "at rest" if plane.motion is None else f"moves by {plane.motion}"
+        notes.append(f"{plane.name} ({kind}, {moves}{f' times {plane.follows}' if plane.follows else ''})")
+    return [("planes", ", ".join(notes))] if notes else []
 
 
 def _adhesion(model: Model) -> str:

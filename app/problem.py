@@ -73,6 +73,8 @@ class Problem:
     def set_loads(self, factors: dict[str, float]) -> None:
         """Go to a load level: the loads and the values of the fixed unknowns (taken up by `predict`)."""
         self.model.set_loads(factors)
+        if self.contact is not None:
+            self.contact.move_planes(factors)
         self.targets = self.model.fixed_values(factors)
         self._assemble_loads()
 
@@ -150,8 +152,14 @@ class Problem:
         return self._load_form is not None
 
     def outer_forces(self) -> Array:
-        """Norms (1,) or (2,) of what acts on the model from outside at the last `residual`: reactions and loads."""
-        return self.norms(self.full - self._loads)
+        """Norms (1,) or (2,) of what acts from outside at the last `residual`: reactions, loads, rigid planes."""
+        forces = self.full - self._loads
+        if self.contact is not None and self.contact.planes:
+            planes = forces.duplicate()
+            planes.set(0.0)
+            self.contact.add_forces_of_planes(planes)
+            forces.axpy(-1.0, planes)
+        return self.norms(forces)
 
     def load_forces(self) -> Array:
         """This rank's share of what the loads add to the residual: minus the nodal forces they apply."""

@@ -29,6 +29,7 @@ from app.scene_sections import (
     ModelKeys,
     Name,
     Output,
+    Plane,
     Solver,
 )
 from forms.materials import BUILT_IN, Material
@@ -69,7 +70,8 @@ class Scene(Keys):
     bodies: dict[str, Name] = Field(
         description='body, or pattern of bodies such as "ply_1_*" = material of the scene or built-in material'
     )
-    boundaries: Annotated[list[Boundary], Field(min_length=1)]
+    boundaries: list[Boundary] = Field([], description="what is prescribed on groups of facets")
+    planes: list[Plane] = Field([], description="rigid planes that the bodies meet")
     contact: Contact | None = None
     load: Load = Field(default_factory=Load)
     solver: Solver = Field(default_factory=Solver)
@@ -158,6 +160,7 @@ class Scene(Keys):
         scene_checks.gap(self)
         scene_checks.orientations(self)
         scene_checks.boundaries(self)
+        scene_checks.planes(self)
         scene_checks.contact(self)
         scene_checks.load(self)
         return self

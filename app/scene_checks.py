@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from app.scene_errors import SceneError, named, unknown_name
+from app.scene_errors import SceneError, named, shown, unknown_name
+from app.scene_sections import SIDES
 from forms.materials import BUILT_IN
 from meshes.mesh_file import MeshFile
 
@@ -99,6 +100,35 @@ def boundaries(scene: Scene) -> None:
             raise unknown_name(f"{key}.follows", row.follows, "a factor of load.factors", list(scene.load.factors))
 
 
+def planes(scene: Scene) -> None:
+    """Planes have names of their own, a component a dimension and factors that exist; something holds the bodies."""
+    if not scene.boundaries and not scene.planes:
+        raise SceneError("boundaries", "nothing", "at least one of [[boundaries]] or [[planes]]")
+    names: dict[str, int] = {}
+    for index, plane in enumerate(scene.planes):
+        key = f"planes[{index}]"
+        if plane.name in names:
+            allowed = f"a name of its own: it is that of planes[{names[plane.name]}]"
+            raise SceneError(f"{key}.name", shown(plane.name), allowed)
+        if plane.name in scene.facet_groups or plane.name in scene.body_names:
+            raise SceneError(f"{key}.name", shown(plane.name), "a name that no facet group and no body has")
+        names[plane.name] = index
+        if isinstance(plane.point, str) and plane.point not in SIDES[scene.dimension]:
+            allowed = f"{named(list(SIDES[scene.dimension]))} in two dimensions, or a point"
+            raise SceneError(f"{key}.point", shown(plane.point), allowed)
+        for name in ("point", "normal", "motion"):
+            vector = getattr(plane, name)
+            if isinstance(vector, list) and len(vector) != scene.dimension:
+                raise SceneError(f"{key}.{name}", vector, f"{scene.dimension} components, one a dimension")
+        if plane.potential is not None and not scene.electric:
+            allowed = "nothing, unless the material of a body has a permittivity"
+            raise SceneError(f"{key}.potential", plane.potential, allowed)
+        for name in ("follows", "potential_follows"):
+            factor = getattr(plane, name)
+            if factor is not None and factor not in scene.load.factors:
+                raise unknown_name(f"{key}.{name}", factor, "a factor of load.factors", list(scene.load.factors))
+
+
 def _prescribed(row: Boundary) -> list[str]:
     """What a row fixes, in words that start with the key."""
     components = [f"displacement {'xyz'[i]}" for i, value in enumerate(row.displacement or []) if value is not None]
@@ -131,7 +161,8 @@ def contact(scene: Scene) -> None:
 def load(scene: Scene) -> None:
     """Every load factor is followed."""
     followed = {row.follows for row in scene.boundaries}
+    followed |= {factor for plane in scene.planes for factor in (plane.follows, plane.potential_follows)}
     for name in scene.load.factors:
         if name not in followed:
-            allowed = f"only factors that a boundary follows ({named(sorted(filter(None, followed)))})"
+            allowed = f"only factors that a boundary or plane follows ({named(sorted(filter(None, followed)))})"
             raise SceneError(f"load.factors.{name}", "a factor that nothing follows", allowed)

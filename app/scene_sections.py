@@ -203,6 +203,39 @@ class Boundary(Keys):
         return self
 
 
+Side = Literal["bottom", "top", "left", "right", "front", "back"]
+# Axis and end of each side of the box around the bodies, by dimension; its plane's normal points inward.
+SIDES: dict[int, dict[str, tuple[int, int]]] = {
+    2: {"left": (0, 0), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)},
+    3: {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)},
+}
+
+
+class Plane(Keys):
+    """[[planes]]: a rigid plane without a mesh, which all bodies meet: platen, wall, electrode."""
+
+    name: Name = Field(description="names its columns of the history")
+    point: Side | Annotated[list[float], Field(min_length=2, max_length=3)] = Field(
+        description="um, or the side of the box around the bodies that the plane lies on"
+    )
+    normal: Direction | None = Field(None, description="to the side where the bodies are; default of a side: inward")
+    motion: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(None, description="um")
+    follows: Name | None = Field(None, description="load factor on the motion; absent: moved from the start")
+    potential: float | None = Field(None, description="V, of an electrode; absent: an insulator")
+    potential_follows: Name | None = Field(None, description="load factor on the potential; absent: constant")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.normal is None and not isinstance(self.point, str):
+            raise SceneError("normal", "nothing", "a direction, to the side where the bodies are")
+        if self.normal is not None and not any(self.normal):
+            raise SceneError("normal", self.normal, "a direction: not the zero vector")
+        for key, what in (("follows", "motion"), ("potential_follows", "potential")):
+            if getattr(self, key) is not None and getattr(self, what) is None:
+                raise SceneError(key, shown(getattr(self, key)), f"nothing without {what}")
+        return self
+
+
 class Adhesion(Keys):
     """[contact.adhesion]: tension that the contact carries; absent: none."""
 

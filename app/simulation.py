@@ -187,7 +187,7 @@ class _Session:
         """Keep the state at the end of a step: a later step may fail after some of its parts have converged."""
         self._kept_state = self.problem.state.copy()
         contact = self.problem.contact
-        self._kept_histories = [p.history.copy() for p in contact.passes] if contact is not None else []
+        self._kept_histories = [p.history.copy() for p in contact.every] if contact is not None else []
 
     def _go_back(self) -> None:
         """Return to the end of the last step that converged as a whole, with contact evaluated there."""
@@ -195,9 +195,12 @@ class _Session:
             return
         self._kept_state.copy(self.problem.state)
         if self.problem.contact is not None:
-            for p, history in zip(self.problem.contact.passes, self._kept_histories, strict=True):
+            for p, history in zip(self.problem.contact.every, self._kept_histories, strict=True):
                 p.history = history
+            factors = {name: self.history[-1][f"factor:{name}"] for name in self.scene.load.factors}
+            self.problem.contact.move_planes(factors)
         self.stepper.revisit()
+        self.balance.remember_planes()
 
     def _conclude(self, converged: bool, reason: str) -> None:
         if self.results is None:
@@ -239,9 +242,9 @@ class _Session:
         }
         points = {}
         if contact is not None:
-            known = [p.history.touched for p in contact.passes]
-            keys = np.concatenate([p.keys()[k] for p, k in zip(contact.passes, known, strict=True)])
-            opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.passes, known, strict=True)])
+            known = [p.history.touched for p in contact.every]
+            keys = np.concatenate([p.keys()[k] for p, k in zip(contact.every, known, strict=True)])
+            opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.every, known, strict=True)])
             points["opening"] = (keys, opening[:, None])
         scalars = {
             "history": self.history,
@@ -265,7 +268,7 @@ class _Session:
         self.stepper.last_motion = stored.scalars["motion"]
         if contact is not None:
             contact.last_penetration = stored.scalars["penetration"]
-            for p in contact.passes:
+            for p in contact.every:
                 values, found = stored.points("opening", p.keys())
                 p.history.touched[:] = found
                 p.history.opening[:] = np.where(found, values[:, 0], 0.0)

@@ -169,5 +169,5 @@ class Stepper:
             return 0.0
         change = problem.fixed_change()
         prescribed = float(np.abs(problem.displacements(change)).max(initial=0.0))
-        prescribed = problem.maximum(prescribed)
+        prescribed = max(problem.maximum(prescribed), problem.contact.planes_move_by())
         return problem.contact.least_margin() + 4.0 * max(prescribed, self.last_motion)

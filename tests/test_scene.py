@@ -369,7 +369,7 @@ def test_the_schema_lists_what_is_allowed_and_no_more() -> None:
     assert "segment" not in text
     assert definitions["Adhesion"]["properties"]["law"]["enum"] == ["cutoff", "bilinear", "lennard_jones"]
     assert definitions["Boundary"]["additionalProperties"] is False
-    assert {"geometry", "bodies", "boundaries"} == set(schema()["required"])
+    assert {"geometry", "bodies"} == set(schema()["required"])
 
 
 @pytest.mark.parametrize("name", scene_file.examples())
