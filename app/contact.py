@@ -18,8 +18,9 @@ from forms.contact.facets import FacetKind
 from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints, contact_vectors
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
+from forms.contact.segments import Facets, nearest_points, segment_points
 from meshes.overlap import deepest_overlap
-from meshes.pairing import VisibleFacets, closest_facets, near_points, point_normals, share_facets
+from meshes.pairing import VisibleFacets, closest_facets, facing_pairs, near_points, point_normals, share_facets
 from meshes.surface import Surface
 
 Array = NDArray[np.float64]
@@ -31,6 +32,9 @@ DRIFT = 0.05
 # A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
 # the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
 KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
+# Segments are cut anew once a surface has moved by this share of a facet since: a kink that is missed by so much
+# costs the square of it.
+CUT_DRIFT = 1e-3
 
 
 @dataclass
@@ -42,6 +46,9 @@ class ContactPass:
     `force` (d,) on this rank's slave facets and the `position` (m, d) of the points that met a facet. size (m,): size
     of each point's slave facet, um. depth: a point further inside a body than this (um) has come from its far side and
     meets nothing.
+
+    With `segments`, points are those of the slave facets' pieces, anew at every pairing; penalties and adhesion are a
+    facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
     """
 
     pair: int
@@ -53,6 +60,8 @@ class ContactPass:
     first: bool
     size: Array
     depth: float
+    segments: bool = False
+    meets: NDArray[np.bool_] = field(init=False)
     history: History = field(init=False)
     drag: Drag = field(init=False)
     visible: VisibleFacets = field(init=False)
@@ -69,14 +78,65 @@ class ContactPass:
     position: Array = field(init=False)
 
     def __post_init__(self) -> None:
+        first = np.searchsorted(self.points.facet, np.arange(len(self.slave)))
+        self._of_facets = (self.law[first], self.size[first]) if self.segments else None
+        self.meets = np.ones(len(self.points.weight), bool)
         self.history = History.virgin(len(self.points.weight))
         self.drag = Drag.none(len(self.points.weight))
+        self.remember()
+
+    def remember(self) -> None:
+        """Take points and history for those of the last converged step."""
+        self._converged = self.memory()
+
+    def memory(self) -> tuple[SlavePoints, History]:
+        """What is remembered of a converged step: points and their history."""
+        return self.points, self.history.copy()
+
+    def recall(self, memory: tuple[SlavePoints, History]) -> None:
+        """Go back to what was remembered."""
+        self._take(memory[0])
+        self.history, self._converged = memory[1].copy(), memory
+
+    def cut(self, position: Array, reach: float) -> None:
+        """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
+        slave = Facets(position[self.slave_nodes], self.slave.orientation, self.slave.key)
+        master = Facets(position[self.master_nodes], self.visible.orientation, self.visible.key)
+        kind = self.slave.kind
+        pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
+        before, (converged, history) = self.points, self._converged
+        points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
+        drag = self.drag[nearest_points(points.facet, points.xi, before)]
+        self._take(points)
+        self.meets, self.drag = meets, drag
+        self.history = history[nearest_points(points.facet, points.xi, converged)]
+
+    def _take(self, points: SlavePoints) -> None:
+        self.points, self.meets = points, np.ones(len(points.weight), bool)
+        self.drag = Drag.none(len(points.weight))
+        if self.segments:
+            law, size = self._of_facets
+            self.law, self.size = law[points.facet], size[points.facet]
 
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
-        p = self.points
-        same = np.ones(len(p.facet), np.int64)
-        return np.stack([self.pair * same, int(self.first) * same, self.slave.key[p.facet], p.place], axis=1)
+        return self._keys(self.points.facet, self.points.place)
+
+    def every_key(self, places: int) -> NDArray[np.int64]:
+        """Keys of all points that the facets could have, so many places each."""
+        facet, place = np.divmod(np.arange(len(self.slave) * places), places)
+        return self._keys(facet, place)
+
+    def recover(self, xi: Array, found: NDArray[np.bool_], places: int) -> None:
+        """Take the points of a checkpoint, asked for by `every_key`; their weights come when they are cut anew."""
+        facet, place = np.divmod(np.flatnonzero(found), places)
+        none = np.zeros(len(facet))
+        self._take(SlavePoints(facet, place, xi[found], self.slave.kind.shape(xi[found]), none, none))
+        self.history = History.virgin(len(facet))
+
+    def _keys(self, facet: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+        same = np.ones(len(facet), np.int64)
+        return np.stack([self.pair * same, int(self.first) * same, self.slave.key[facet], place], axis=1)
 
 
 @dataclass
@@ -109,8 +169,10 @@ class Contact:
         self.components = space.dofmap.index_map_bs
         self.potential_scale = potential_scale
         self.margin = 0.0
-        self.outgrown = False
+        self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
+        self.stale = False  # and for the segments to be where facets begin and end
         self.broken = False
+        self.cuts = any(p.segments for p in self.passes)
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
         self._dragged = False
@@ -150,8 +212,11 @@ class Contact:
         for p in self.passes:
             p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
             p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
+            if p.segments:
+                # Facets that come nearer than this in a step are cut when it has ended.
+                p.cut(position, self.reach + 0.5 * self._facet + 4.0 * self.last_penetration)
             points = np.einsum("mk,mkd->md", p.points.shape, position[p.slave_nodes[p.points.facet]])
-            p.rows = np.flatnonzero(near_points(points, position[p.master_nodes], margin))
+            p.rows = np.flatnonzero(p.meets & near_points(points, position[p.master_nodes], margin))
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
         for p in self.planes:
@@ -172,6 +237,7 @@ class Contact:
         motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
         moved, drift = reductions.largest(self.comm, np.array(motions))
         self.outgrown = moved > 0.5 * self.margin
+        self.stale = self.cuts and moved > CUT_DRIFT * self._facet
         self._search = not self._searched or drift > DRIFT * self._facet
         if self._search:
             self._searched, self._searched_at = True, displacement.copy()
@@ -284,6 +350,8 @@ class Contact:
             p.history = p.law.lost(p.history)
             p.history.touched[near] = advanced.touched
             p.history.opening[near] = advanced.opening
+        for p in self.passes:
+            p.remember()
 
     def _drag_work(self) -> float:
         """Work against the drag since `hold_back`: mean of its tractions now and at the end of the part before."""
@@ -295,6 +363,11 @@ class Contact:
             work += float((p.share * p.points.weight[rows]) @ (mean * (gap - p.drag.start[rows])))
             p.drag.before[rows] = traction
         return self.comm.allreduce(work, op=MPI.SUM)
+
+    def places(self) -> int:
+        """Largest number of points of a facet."""
+        most = max((int(p.points.place.max(initial=-1)) for p in self.passes), default=-1)
+        return self.comm.allreduce(most + 1, op=MPI.MAX)
 
     def least_margin(self) -> float:
         """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration."""

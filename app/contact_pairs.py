@@ -110,7 +110,7 @@ def _surface(model: Model, name: str, key: str) -> Surface:
 
 def _pass(model: Model, number: int, slave: Surface, master: Surface, first: bool) -> ContactPass:
     keys = model.scene.contact
-    if keys.method == "point":
+    if keys.method != "node":  # segments begin as whole facets
         points = quadrature_points(slave.kind, slave.reference)
     else:
         shared = multiplicity(model.space, slave) if keys.nodal_weight == "unit" else None
@@ -122,7 +122,8 @@ def _pass(model: Model, number: int, slave: Surface, master: Surface, first: boo
     # Where one of the bodies has no permittivity, no charge passes.
     electric = permittivity if all(m.permittivity is not None for m in materials) else None
     law = _interface_law(keys, size, stiffness, electric, model)
-    return ContactPass(number, slave, master, points, law, 1.0 / keys.passes, first, size, _depth(model, slave, master))
+    depth, share, cuts = _depth(model, slave, master), 1.0 / keys.passes, keys.method == "segment"
+    return ContactPass(number, slave, master, points, law, share, first, size, depth, cuts)
 
 
 def _interface_law(

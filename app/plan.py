@@ -92,7 +92,11 @@ def _contact(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, s
     if keys is None:
         return "with planes alone, since the scene has no [contact]"
     points = model.comm.allreduce(sum(len(p.points.weight) for p in contact.passes))
-    where = {"node": "at the slave nodes", "point": "at quadrature points of the slave facets"}[keys.method]
+    where = {
+        "node": "at the slave nodes",
+        "point": "at quadrature points of the slave facets",
+        "segment": "on slave facets cut along master edges",
+    }[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
     both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
     names = named(["-".join(pair) for pair in pairs])

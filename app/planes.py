@@ -89,6 +89,14 @@ class PlanePass:
         if plane.potential is not None and plane.potential_follows is not None:
             self.potential *= factors.get(plane.potential_follows, 0.0)
 
+    def memory(self) -> History:
+        """What is remembered of a converged step."""
+        return self.history.copy()
+
+    def recall(self, memory: History) -> None:
+        """Go back to what was remembered."""
+        self.history = memory.copy()
+
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
         p = self.points

@@ -274,7 +274,10 @@ class Contact(Keys):
         "auto",
         description='every two bodies that can meet, or [["slave", "master"], ...] of facet groups or bodies',
     )
-    method: Literal["node", "point"] = Field("point", description="node-to-surface or quadrature points on the slave")
+    method: Literal["node", "point", "segment"] = Field(
+        "point",
+        description="node-to-surface, quadrature points on the slave, or on slave facets cut along master edges",
+    )
     passes: OneOrTwo = Field(2, description="2: both ways, half each")
     normal_penalty: Positive | None = Field(None, description="MPa/um per area")
     normal_penalty_factor: Positive | None = Field(

@@ -187,7 +187,7 @@ class _Session:
         """Keep the state at the end of a step: a later step may fail after some of its parts have converged."""
         self._kept_state = self.problem.state.copy()
         contact = self.problem.contact
-        self._kept_histories = [p.history.copy() for p in contact.every] if contact is not None else []
+        self._kept_memories = [p.memory() for p in contact.every] if contact is not None else []
 
     def _go_back(self) -> None:
         """Return to the end of the last step that converged as a whole, with contact evaluated there."""
@@ -195,8 +195,8 @@ class _Session:
             return
         self._kept_state.copy(self.problem.state)
         if self.problem.contact is not None:
-            for p, history in zip(self.problem.contact.every, self._kept_histories, strict=True):
-                p.history = history
+            for p, memory in zip(self.problem.contact.every, self._kept_memories, strict=True):
+                p.recall(memory)
             factors = {name: self.history[-1][f"factor:{name}"] for name in self.scene.load.factors}
             self.problem.contact.move_planes(factors)
         self.stepper.revisit()
@@ -246,11 +246,18 @@ class _Session:
             keys = np.concatenate([p.keys()[k] for p, k in zip(contact.every, known, strict=True)])
             opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.every, known, strict=True)])
             points["opening"] = (keys, opening[:, None])
+            if contact.cuts:
+                # Where pieces lie follows from states before this one.
+                points["place"] = (
+                    np.concatenate([p.keys() for p in contact.passes]),
+                    np.concatenate([p.points.xi for p in contact.passes]),
+                )
         scalars = {
             "history": self.history,
             "size": self.stepper.size,
             "motion": self.stepper.last_motion,
             "penetration": contact.last_penetration if contact is not None else 0.0,
+            "places": contact.places() if contact is not None else 0,
             "external_work": self.balance.external_work,
             "stabilization": self.balance.stabilization,
         }
@@ -268,6 +275,10 @@ class _Session:
         self.stepper.last_motion = stored.scalars["motion"]
         if contact is not None:
             contact.last_penetration = stored.scalars["penetration"]
+            for p in contact.passes:
+                if p.segments:
+                    every = p.every_key(stored.scalars["places"])
+                    p.recover(*stored.points("place", every), stored.scalars["places"])
             for p in contact.every:
                 values, found = stored.points("opening", p.keys())
                 p.history.touched[:] = found

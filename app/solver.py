@@ -34,6 +34,7 @@ CARRIED = 1e-4  # share of the loads that the springs of a floating part may car
 SPRINGS = tuple(10.0**power for power in range(7, -1, -1))  # factors by which those springs are stronger at first
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
+CUTS = 4  # how often one solve may cut segments anew where it has ended
 
 
 class SolveError(RuntimeError):
@@ -127,6 +128,7 @@ class Newton:
         if problem.linear:
             self._refine(report)
             return
+        cuts = CUTS
         for _ in range(REPAIRINGS):
             self._repair = False
             self.snes.setJacobian(self._tangent, self._kept[-1])
@@ -137,9 +139,12 @@ class Newton:
             if not self._repair:
                 self._check(self.snes.getConvergedReason())
                 penetration = problem.contact.penetration() if problem.contact else 0.0
-                if penetration <= 0.5 * margin:
+                if penetration > 0.5 * margin:
+                    margin = 4.0 * penetration
+                elif cuts and problem.contact is not None and problem.contact.stale:
+                    cuts -= 1
+                else:
                     return
-                margin = 4.0 * penetration
             else:
                 margin = 2.0 * margin
             if problem.motion() > FLOWN * problem.model.part_size.max():

@@ -88,6 +88,28 @@ def near_points(points: Array, facets: Array, margin: float) -> NDArray[np.bool_
     return near
 
 
+def facing_pairs(
+    kind: FacetKind,
+    slaves: tuple[Array, Array],
+    masters: tuple[Array, Array],
+    reach: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs (slave facet, master facet) that face each other and may come within `reach` (um); never misses one.
+
+    slaves, masters: current nodes (f, n, d) and orientation (f,) of the facets.
+    """
+    nodes, facets = slaves[0], masters[0]
+    if not len(nodes) or not len(facets):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    center = nodes.mean(axis=1)
+    radius = np.linalg.norm(nodes - center[:, None], axis=2).max(axis=1)
+    row, facet = _all_within(center, facets, radius + reach)
+    middle = np.full((1, kind.dim), 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
+    mine, theirs = (point_normals(kind, middle.repeat(len(n), axis=0), n, sign) for n, sign in (slaves, masters))
+    faces = np.einsum("md,md->m", mine[row], theirs[facet]) < FACING
+    return row[faces], facet[faces]
+
+
 def closest_facets(
     kind: FacetKind,
     points: Array,

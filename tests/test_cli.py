@@ -228,7 +228,7 @@ def test_all_ranks_end_alike(
     assert cli.main(["run", "halves.toml", "--set", "contact.method=nodes"]) == 2
     err = capfd.readouterr().err
     if comm.rank == 0:
-        assert err == 'halves.toml: contact.method: found "nodes"; allowed: "node" or "point"\n'
+        assert err == 'halves.toml: contact.method: found "nodes"; allowed: "node" or "point" or "segment"\n'
     else:
         assert err == ""
     assert cli.main(["mesh", "halves.toml", "--out", "halves.msh"]) == 0

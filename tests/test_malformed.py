@@ -218,7 +218,7 @@ WRONG = {
     ),
     "pair of three": Wrong('["lower", "upper"]', '["lower", "upper", "top"]', "contact.pairs", "2"),
     "no pairs": Wrong('[["lower", "upper"]]', "[]", "contact.pairs", "auto"),
-    "contact method": Wrong("[contact]", '[contact]\nmethod = "segment"', "contact.method", '"node" or "point"'),
+    "contact method": Wrong("[contact]", '[contact]\nmethod = "mortar"', "contact.method", '"point" or "segment"'),
     "passes": Wrong("[contact]", "[contact]\npasses = 3", "contact.passes", "1 or 2"),
     "penalty and factor": Wrong(
         "[contact]",

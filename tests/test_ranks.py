@@ -125,6 +125,10 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "tetrahedra of order 2": lambda: crossed({"method": "node", "passes": 1, "adhesion": BILINEAR}, 2),
     "bricks": lambda: bricks({"method": "point", "adhesion": BILINEAR}, 1),
     "bricks of order 2": lambda: bricks({"method": "node", "passes": 1}, 2),
+    "segments": lambda: halves({"method": "segment", "adhesion": BILINEAR}, "simplex", 1),
+    "segments of order 2": lambda: halves({"method": "segment", "passes": 1}, "tensor", 2),
+    "segments of tetrahedra": lambda: crossed({"method": "segment", "adhesion": CUTOFF}, 1, **floating()),
+    "segments of bricks": lambda: bricks({"method": "segment", "passes": 1, "adhesion": BILINEAR}, 1),
     "multigrid": lambda: crossed(
         {"method": "node", "adhesion": BILINEAR}, 1, **floating(kind="iterative", petsc={"ksp_rtol": 1e-13})
     ),
@@ -154,7 +158,7 @@ CUTS: dict[str, Partition | None] = {
 CASES = [(scene, "strips") for scene in SCENES]
 if MPI.COMM_WORLD.size > 1:
     CASES += [(scene, "graph") for scene in ("triangles", "quadrilaterals of order 2", "tetrahedra", "bricks")]
-    CASES += [(scene, "an empty rank") for scene in ("triangles", "a floating block", "tetrahedra")]
+    CASES += [(scene, "an empty rank") for scene in ("triangles", "a floating block", "tetrahedra", "segments")]
     CASES += [("finite kinematics", "a body a rank"), ("multigrid", "graph")]
 serial: dict[str, Rows] = {}
 

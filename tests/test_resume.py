@@ -152,6 +152,20 @@ def test_resumed_on_another_number_of_ranks(
 
 
 @pytest.mark.mpi
+def test_segments_keep_the_history_of_their_pieces(
+    comm: MPI.Comm, shared_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Interrupted while bonds break, where every step has other pieces than the one before."""
+    cut = scene().model_copy(update={"contact": scene().contact.model_copy(update={"method": "segment"})})
+    whole = run(cut, comm).history
+    assert 0.0 < whole[8]["dissipated"] < whole[-1]["dissipated"]
+    with monkeypatch.context() as patch, pytest.raises(Interrupted):
+        stop_after(patch, 9, comm)
+        run(cut, comm, shared_tmp_path)
+    assert_equal(run(cut, comm, shared_tmp_path, resume=True).history, whole)
+
+
+@pytest.mark.mpi
 def test_a_checkpoint_without_its_row(
     comm: MPI.Comm, shared_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Rows
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import tomllib
 from pathlib import Path
@@ -363,10 +362,8 @@ def test_a_scene_does_not_change() -> None:
 
 
 def test_the_schema_lists_what_is_allowed_and_no_more() -> None:
-    text = json.dumps(schema())
     definitions = schema()["$defs"]
-    assert definitions["Contact"]["properties"]["method"]["enum"] == ["node", "point"]
-    assert "segment" not in text
+    assert definitions["Contact"]["properties"]["method"]["enum"] == ["node", "point", "segment"]
     assert definitions["Adhesion"]["properties"]["law"]["enum"] == ["cutoff", "bilinear", "lennard_jones"]
     assert definitions["Boundary"]["additionalProperties"] is False
     assert {"geometry", "bodies"} == set(schema()["required"])

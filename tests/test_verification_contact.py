@@ -107,6 +107,26 @@ def test_a_stack_is_exact_in_one_pass_where_each_slave_facet_lies_on_one_master_
         np.testing.assert_allclose(state(row, scene.dimension, "-".join(pair)), expected, rtol=1e-5)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("passes", [1, 2])
+@pytest.mark.parametrize(
+    ("cells", "order", "divisions"),
+    [
+        ("tensor", 1, [[3, 1], [2, 2]]),
+        ("simplex", 2, [[3, 1], [2, 1]]),
+        ("tensor", 2, [[3, 2, 1], [2, 1, 1]]),
+        ("simplex", 1, [[3, 2, 1], [2, 3, 1]]),
+    ],
+)
+def test_a_stack_of_segments_is_exact_whatever_the_meshes(
+    comm: MPI.Comm, cells: str, order: int, divisions: list[list[int]], passes: int
+) -> None:
+    for r, expected in STACK.items():
+        scene = stack(cells, order, divisions, r, method="segment", passes=passes)
+        row = run(scene, comm).history[-1]
+        np.testing.assert_allclose(state(row, scene.dimension, "lower-upper"), expected, rtol=1e-5)
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_bonded_layers_are_the_limit_of_infinite_penalties(comm: MPI.Comm, order: int) -> None:
     fixed = {"root": 0, "tip": 0}

@@ -83,7 +83,7 @@ class FacetKind:
     def quadrature(self) -> tuple[Array, Array]:
         """Points (m, t) and weights (m) of the rule for `point` contact: exact for degree 2 p + 1 or so."""
         if self.simplex and self.dim == 2:
-            return _triangle_rule(self.order)
+            return triangle_rule(self.order)
         x, w = np.polynomial.legendre.leggauss(self.order + 1)
         x, w = 0.5 * (x + 1.0), 0.5 * w
         if self.dim == 1:
@@ -92,7 +92,7 @@ class FacetKind:
         return points, np.outer(w, w).ravel()
 
 
-def _triangle_rule(order: int) -> tuple[Array, Array]:
+def triangle_rule(order: int) -> tuple[Array, Array]:
     """Symmetric rules of Strang and Fix (1973): 3 points of degree 2, 6 points of degree 4."""
     if order == 1:
         return np.array([[1, 1], [4, 1], [1, 4]]) / 6.0, np.full(3, 1.0 / 6.0)

@@ -177,6 +177,9 @@ class Drag:
     stiffness: Array
     before: Array
 
+    def __getitem__(self, rows: NDArray) -> Drag:
+        return Drag(self.start[rows], self.stiffness[rows], self.before[rows])
+
     @classmethod
     def none(cls, points: int) -> Drag:
         """Drag of points that nothing drags."""
