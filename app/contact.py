@@ -35,6 +35,9 @@ KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
 # Segments are cut anew once a surface has moved by this share of a facet since: a kink that is missed by so much
 # costs the square of it.
 CUT_DRIFT = 1e-3
+# Relative residual below which the tangent knows that tractions turn with their facets. Far from equilibrium tractions
+# are wrong by much more than they are worth, and those terms, of either sign, make the tangent indefinite.
+TURNING = 1e-2
 
 
 @dataclass
@@ -175,6 +178,7 @@ class Contact:
         self.cuts = any(p.segments for p in self.passes)
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
+        self._turning = True
         self._dragged = False
         self._of_planes: list[ContactTerms] = [_nothing(p.slave.kind, self.components, False) for p in self.planes]
         sizes = [np.log(p.size) for p in self.every]
@@ -223,11 +227,15 @@ class Contact:
             p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
             p.look(position, margin)
         self.outgrown = False
-        self._keep = KEEP[0][1]
+        self._keep, self._turning = KEEP[0][1], True
 
-    def settle(self, iteration: int) -> None:
-        """Let points keep their facets the longer, the more Newton iterations a solve has taken."""
+    def settle(self, iteration: int, residual: float) -> None:
+        """Prepare the tangent of a Newton iteration that starts at this relative residual.
+
+        Points keep their facets the longer, the more iterations a solve has taken.
+        """
         self._keep = max(share for start, share in KEEP if iteration >= start)
+        self._turning = residual < TURNING
 
     def evaluate(self, state: PETSc.Vec, *, tangent: bool) -> ContactTerms:
         """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer."""
@@ -445,6 +453,7 @@ class Contact:
             self.components,
             potentials[master[active]] if p.jump is not None else None,
             tangent=tangent,
+            turning=self._turning,
         )
         nodes = np.concatenate([slave[active], master[active]], axis=1)
         p.force = -vectors[:, : slave.shape[1], : self.dim].sum(axis=(0, 1))

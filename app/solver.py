@@ -243,7 +243,7 @@ class Newton:
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
-            self.problem.contact.settle(snes.getIterationNumber())
+            self.problem.contact.settle(snes.getIterationNumber(), self._report.residuals[-1])
         matrix = self._new_tangent(x)
         if matrix.handle != a.handle:
             snes.setJacobian(self._tangent, matrix)

@@ -128,3 +128,29 @@ def test_bonds_tear_where_a_point_leaves_the_surface() -> None:
     history = run(scene, MPI.COMM_SELF).history
     assert history[0]["bonded_area@lower-upper"] == pytest.approx(1.0, rel=1e-9)
     assert history[-1]["bonded_area@lower-upper"] < 0.6
+
+
+def facing_halves(penalty: float, steps: int = 5, **contact: Any) -> Scene:
+    """The half discs of the issue on stiff contact: 15,000 unknowns, pressed by 0.05 um."""
+    return Scene(
+        geometry={"shape": "facing_halves"},
+        mesh={"size": 0.038, "contact_size": 0.008, "size_factors": {"upper": 0.9}},
+        bodies={"lower": "pvdf", "upper": "pvdf"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {"on": "top", "displacement": [0, -0.05], "follows": "press"},
+        ],
+        contact={"normal_penalty": penalty, "electric_penalty": 0.1, **contact},
+        load={"steps": [steps], "factors": {"press": [1.0]}},
+    )
+
+
+@pytest.mark.parametrize(("penalty", "force"), [(1e4, -32.351), (1e5, -45.263), (1e6, -47.174), (1e8, -47.390)])
+def test_no_penalty_is_too_stiff_or_too_soft(penalty: float, force: float) -> None:
+    """Tractions far from equilibrium turned with their facets: the tangent was indefinite, and steps were cut."""
+    history = run(facing_halves(penalty), MPI.COMM_SELF).history
+    assert all(row["cutbacks"] == 0 for row in history)
+    assert sum(row["newton"] for row in history) <= 8 * len(history) + (20 if penalty > 1e7 else 0)
+    assert history[-1]["force_y@top"] == pytest.approx(force, rel=1e-4)
+    one = run(facing_halves(penalty, steps=1), MPI.COMM_SELF).history[-1]
+    assert one["force_y@top"] == pytest.approx(force, rel=1e-4) and one["cutbacks"] == 0

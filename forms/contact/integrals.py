@@ -82,11 +82,13 @@ def contact_vectors(
     potentials: Array | None,
     *,
     tangent: bool,
+    turning: bool = True,
 ) -> tuple[Array, Array | None]:
     """Residual vectors (m, n_pair, c) and, if asked for, tangents (m, n_pair * c, n_pair * c) of contact points.
 
     The derivative of weight * enthalpy with respect to the pair's unknowns, slave nodes first. `response` is in terms
-    of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values.
+    of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values. Not `turning`, the
+    tangent leaves out that tractions turn with the facets.
     """
     v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
     first = response.slope[:, None] * v.gap
@@ -97,7 +99,7 @@ def contact_vectors(
     vectors = np.einsum("m,mr,mrn->mn", weight, first, rows).reshape(m, nodes, components)
     if not tangent:
         return vectors, None
-    matrix = response.slope[:, None, None] * v.gap2
+    matrix = response.slope[:, None, None] * v.gap2 if turning else np.zeros_like(v.gap2)
     matrix += response.curvature[:, None, None] * v.gap[:, :, None] * v.gap[:, None, :]
     if v.jump is not None:
         cross = v.gap[:, :, None] * v.jump[:, None, :]
