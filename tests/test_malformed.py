@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 from app import cli
 
 ROOT = Path(__file__).parent.parent
-LIMIT = 10.0  # s
+LIMIT = 10.0  # s of the processor: what else the machine does is not the program's fault
 
 SCENE = """
 [geometry]
@@ -255,11 +254,16 @@ def contents(folder: Path) -> set[Path]:
     return set(folder.rglob("*"))
 
 
+def processor_time() -> float:
+    """What this process and the children that it waited for have used so far (s)."""
+    return sum(os.times()[:4])
+
+
 def refused(capsys: pytest.CaptureFixture[str], folder: Path, key: str, words: str = "", command: str = "run") -> None:
     """Run the scene of the folder in this process: it is refused as the contract says."""
-    before, start = contents(folder), time.monotonic()
+    before, start = contents(folder), processor_time()
     assert cli.main([command, "wrong.toml"]) == 2
-    assert time.monotonic() - start < LIMIT
+    assert processor_time() - start < LIMIT
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     prefix = f"wrong.toml: {key}: found " if key else "wrong.toml: found "
@@ -468,7 +472,7 @@ def test_a_refused_scene_leaves_the_results_of_an_older_run(folder: Path, capsys
 def test_the_command_itself(name: str, folder: Path) -> None:
     wrong = WRONG[name]
     (folder / "wrong.toml").write_text(SCENE.replace(wrong.old, wrong.new, 1), encoding="utf-8")
-    before, start = contents(folder), time.monotonic()
+    before, start = contents(folder), processor_time()
     done = subprocess.run(
         [sys.executable, "-m", "app", "run", "wrong.toml"],
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
@@ -476,7 +480,7 @@ def test_the_command_itself(name: str, folder: Path) -> None:
         text=True,
         timeout=60,
     )
-    assert time.monotonic() - start < LIMIT
+    assert processor_time() - start < LIMIT
     assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
     assert done.stderr.startswith(f"wrong.toml: {wrong.key}: found ") and wrong.words in done.stderr
     assert contents(folder) == before
