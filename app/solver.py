@@ -89,10 +89,12 @@ class Newton:
         self.snes.setFromOptions()
 
     def close(self) -> None:
-        """Take this solver's options out of PETSc's database, which holds 512 at most. Not collective."""
+        """Take this solver's options out of PETSc's database, which holds 512 at most. Not collective; ends its use."""
         options = PETSc.Options()
         for name in self._options:
             options.delValue(name)
+        # SNES holds methods of this solver: with newer PETSc Python cannot find that the two hold only each other.
+        self.snes.getDict().clear()
 
     def solve(self, margin: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from app.pieces import read_index
 from app.results import SUMMARY_KEYS, read_history
 from app.scene import Scene
 from app.simulation import NotConverged, Run, plan, run
+from app.solver import Newton
 from app.timing import BUCKETS
 from tests import references
 from tests.scenes import rollers
@@ -370,3 +373,21 @@ def test_an_older_run_gives_way(comm: MPI.Comm, tmp_path: Path) -> None:
     there = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")}
     checkpoint = {"checkpoint", "checkpoint/mesh.msh", "checkpoint/step_0001.npz"}
     assert there == {"scene.toml", "history.csv", "summary.json", "log.txt", "notes.txt", *checkpoint}
+
+
+def test_a_run_leaves_no_solver_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even to the garbage collector, which cannot see through every PETSc: many runs would use up its memory."""
+    solvers: list[weakref.ref[Newton]] = []
+    start = Newton.__init__
+
+    def watched(self: Newton, *arguments: Any) -> None:
+        solvers.append(weakref.ref(self))
+        start(self, *arguments)
+
+    monkeypatch.setattr(Newton, "__init__", watched)
+    gc.disable()
+    try:
+        run(halves(load={"steps": [1], "factors": {"press": [0.2]}}), MPI.COMM_SELF)
+    finally:
+        gc.enable()
+    assert [found() for found in solvers] == [None]
