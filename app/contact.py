@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from app import reductions
 from app.planes import PlanePass
+from forms.contact.augmentation import Shift, corner_kind, respond, together
 from forms.contact.facets import FacetKind
 from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints, contact_vectors
@@ -46,9 +47,9 @@ class ContactPass:
 
     `share` is the pass's share of the contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the
     points near the master, `facet` and `xi` their partners in `visible` and where; the last evaluation is kept, with
-    `force` (d,) on this rank's slave facets and the `position` (m, d) of the points that met a facet. size (m,): size
-    of each point's slave facet, um. depth: a point further inside a body than this (um) has come from its far side and
-    meets nothing.
+    `force` (d,) on this rank's slave facets and the `position` (m, d) of the points that met a facet, and `gap` (m,),
+    which the law sees: that of `projection` and the multipliers' `shift`. size (m,): size of each point's slave facet,
+    um. depth: a point further inside a body than this (um) has come from its far side and meets nothing.
 
     With `segments`, points are those of the slave facets' pieces, anew at every pairing; penalties and adhesion are a
     facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
@@ -66,6 +67,7 @@ class ContactPass:
     segments: bool = False
     meets: NDArray[np.bool_] = field(init=False)
     history: History = field(init=False)
+    shift: Shift = field(init=False)
     drag: Drag = field(init=False)
     visible: VisibleFacets = field(init=False)
     rows: NDArray[np.int64] = field(init=False)
@@ -75,6 +77,7 @@ class ContactPass:
     master_nodes: NDArray[np.int64] = field(init=False)
     met: NDArray[np.int64] = field(init=False)
     projection: Projection | None = field(init=False, default=None)
+    gap: Array = field(init=False)
     response: Response | None = field(init=False, default=None)
     jump: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
@@ -85,6 +88,7 @@ class ContactPass:
         self._of_facets = (self.law[first], self.size[first]) if self.segments else None
         self.meets = np.ones(len(self.points.weight), bool)
         self.history = History.virgin(len(self.points.weight))
+        self.shift = Shift.none(self.slave.kind, len(self.slave))
         self.drag = Drag.none(len(self.points.weight))
         self.remember()
 
@@ -92,14 +96,18 @@ class ContactPass:
         """Take points and history for those of the last converged step."""
         self._converged = self.memory()
 
-    def memory(self) -> tuple[SlavePoints, History]:
-        """What is remembered of a converged step: points and their history."""
-        return self.points, self.history.copy()
+    def memory(self) -> tuple[SlavePoints, History, Shift]:
+        """What is remembered of a converged step: points, their history, their multipliers."""
+        return self.points, self.history.copy(), self.shift.copy()
 
-    def recall(self, memory: tuple[SlavePoints, History]) -> None:
+    def recall(self, memory: tuple[SlavePoints, History, Shift]) -> None:
         """Go back to what was remembered."""
         self._take(memory[0])
-        self.history, self._converged = memory[1].copy(), memory
+        self.history, self.shift, self._converged = memory[1].copy(), memory[2].copy(), memory
+
+    def give_up(self) -> None:
+        """Go back to the multipliers of the last converged step: those of a solve that failed are worth nothing."""
+        self.shift = self._converged[2].copy()
 
     def cut(self, position: Array, reach: float) -> None:
         """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
@@ -107,7 +115,7 @@ class ContactPass:
         master = Facets(position[self.master_nodes], self.visible.orientation, self.visible.key)
         kind = self.slave.kind
         pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
-        before, (converged, history) = self.points, self._converged
+        before, (converged, history, _) = self.points, self._converged
         points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
         drag = self.drag[nearest_points(points.facet, points.xi, before)]
         self._take(points)
@@ -124,6 +132,10 @@ class ContactPass:
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
         return self._keys(self.points.facet, self.points.place)
+
+    def corner_keys(self) -> NDArray[np.int64]:
+        """(facets * corners, 4) numbers of the corners of the facets."""
+        return self._keys(*(index.ravel() for index in np.indices(self.shift.gap.shape)))
 
     def every_key(self, places: int) -> NDArray[np.int64]:
         """Keys of all points that the facets could have, so many places each."""
@@ -184,6 +196,7 @@ class Contact:
         sizes = [np.log(p.size) for p in self.every]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
+        self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
         self.drag_work = 0.0  # done against the drag in the last converged part of a step, pJ
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self._facet = float(np.exp(total[0] / total[1]))
@@ -353,13 +366,54 @@ class Contact:
             p.last_offset = p.offset
         self.drag_work = self._drag_work() if self._dragged else 0.0
         for p in self.every:
-            near, gap = p.rows[p.met], p.projection.gap
+            near, gap = p.rows[p.met], p.gap
             advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
             p.history = p.law.lost(p.history)
             p.history.touched[near] = advanced.touched
             p.history.opening[near] = advanced.opening
-        for p in self.passes:
             p.remember()
+
+    def augment(self, tolerance: float, potential_range: float) -> bool:
+        """Whether gaps and jumps of the last evaluation are within a tolerance; if not, take a step of augmentation.
+
+        tolerance: in facet sizes, and in the range of the potential (V).
+        """
+        after, worst = [], np.zeros(2)
+        for p in self.every:
+            rows = p.rows[p.met]
+            share, jump = together(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
+            means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
+            new = p.shift.augmented(self._corner_sums(p, rows, p.points.weight[rows, None] * means))
+            size = np.zeros(len(p.slave))
+            size[p.points.facet] = p.size
+            gap, jump = np.abs(new.gap - p.shift.gap) / size[:, None], np.abs(new.jump - p.shift.jump) / potential_range
+            worst = np.maximum(worst, [gap.max(initial=0.0), jump.max(initial=0.0)])
+            after.append(new)
+        self.left = reductions.largest(self.comm, worst)
+        if (self.left <= tolerance).all():
+            return True
+        for p, new in zip(self.every, after, strict=True):
+            p.shift = new
+        return False
+
+    def _corner_sums(self, p: ContactPass | PlanePass, rows: NDArray[np.int64], values: Array) -> Array:
+        """Sums (f, k, ...) over all facets at the corners of this rank's: corner functions times values (m, ...)."""
+        shape = corner_kind(p.slave.kind).shape(p.points.xi[rows])
+        corners = p.slave_nodes[:, : shape.shape[1]]
+        sums = np.zeros((*corners.shape, values.shape[1]))
+        total = self._coordinates.duplicate()
+        for column in range(values.shape[1]):
+            total.set(0.0)
+            each = np.zeros((*shape.shape, self.components))
+            each[..., 0] = shape * values[:, column, None]
+            self._add(corners[p.points.facet[rows]], each, total)
+            sums[..., column] = self._gather(total)[corners, 0]
+        return sums
+
+    def give_up(self) -> None:
+        """Forget the multipliers of a solve that failed."""
+        for p in self.every:
+            p.give_up()
 
     def _drag_work(self) -> float:
         """Work against the drag since `hold_back`: mean of its tractions now and at the end of the part before."""
@@ -434,7 +488,9 @@ class Contact:
         if potentials is not None and law.electric_penalty is not None:
             p.jump = np.einsum("mk,mk->m", shape, potentials[slave])
             p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), potentials[master]))
-        r = p.response = law.respond(p.projection.gap, p.jump, p.history[rows])
+        shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
+        p.gap = p.projection.gap + shift[0]
+        r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift)
         if self._dragged:
             r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
             r.curvature = r.curvature + p.drag.stiffness[rows]

@@ -41,7 +41,12 @@ def columns(model: Model, pairs: list[str]) -> list[str]:
         if model.electric:
             names += [f"max_potential_jump@{pair}"]
         names += [f"bonded_area@{pair}"]
-    return [*names, *ENERGIES, *EFFORT]
+    return [*names, *ENERGIES, *EFFORT, *(["augmentations"] if augments(model) else [])]
+
+
+def augments(model: Model) -> bool:
+    """Whether the scene asks for augmentation."""
+    return model.scene.contact is not None and model.scene.contact.augment is not None
 
 
 class Balance:
@@ -126,6 +131,8 @@ def row(
     values |= energies | contact
     values |= {"stabilization": balance.stabilization, "external_work": balance.external_work}
     values |= {"newton": report.newton, "krylov": report.krylov, "cutbacks": report.cutbacks, "seconds": seconds}
+    if augments(model):
+        values["augmentations"] = report.augmentations
     return values
 
 
@@ -149,7 +156,7 @@ def plane_values(contact: Contact, plane: PlanePass, electric: bool) -> dict[str
     """
     d, gap = contact.dim, plane.projection.gap
     area = plane.points.area[plane.rows]
-    closed = gap <= 0.0
+    closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
     sums = reductions.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
     pressure = -plane.response.slope * plane.points.weight[plane.rows] / area
@@ -177,13 +184,13 @@ def pair_values(contact: Contact, number: int, name: str, electric: bool) -> dic
         area = p.points.area[rows]
         pressure = -r.slope * p.points.weight[rows] / area
         sums[:d] += p.force if p.first else -p.force
-        sums[d] += p.share * area @ (gap <= p.law.rest)
+        sums[d] += p.share * area @ (p.gap <= p.law.rest)
         # History is that of the converged step, so bonds that broke in it no longer count.
         sums[d + 1] += p.share * p.points.area @ p.law.bonded(p.history)
         largest[0] = max(largest[0], pressure.max(initial=0.0))
         largest[1] = max(largest[1], -gap.min(initial=0.0))
         if p.jump is not None:
-            together = (gap <= p.law.rest) | (p.law[rows].status(gap, p.history[rows]) == 2)
+            together = (p.gap <= p.law.rest) | (p.law[rows].status(p.gap, p.history[rows]) == 2)
             largest[2] = max(largest[2], np.abs(p.jump[together]).max(initial=0.0))
     sums, largest = reductions.total(contact.comm, sums), reductions.largest(contact.comm, largest)
     values = {f"contact_force_{axis}@{name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}

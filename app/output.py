@@ -79,7 +79,7 @@ def contact_points(contact: Contact, electric: bool) -> ContactPoints:
         gap = p.projection.gap
         pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
-        status = p.law[rows].status(gap, p.history[rows])
+        status = p.law[rows].status(p.gap, p.history[rows])
         parts = [p.position, p.projection.normal, gap, pressure, status, np.full(len(gap), p.pair), jump]
         for column, part in zip(columns, parts, strict=True):
             column.append(part)

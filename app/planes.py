@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.scene_sections import Plane
+from forms.contact.augmentation import Shift, respond
 from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from meshes.pairing import FACING, point_normals
@@ -39,7 +40,7 @@ class PlanePass:
     start, normal (d,): the plane at the beginning. offset (d,) and potential: its motion (um) and, of an electrode,
     its potential (V) at the present load level; last_offset: at the last converged one. `rows` are the points near it
     that face it. Of the last evaluation: `force` (uN) and `charge` (pC) that this rank's points take from the plane,
-    and `position` (m, d) of its points.
+    and `position` (m, d) of its points, and `gap` (m,), which the law sees.
     """
 
     pair: int
@@ -55,12 +56,14 @@ class PlanePass:
     offset: Array = field(init=False)
     potential: float | None = field(init=False)
     history: History = field(init=False)
+    shift: Shift = field(init=False)
     drag: Drag = field(init=False)
     rows: NDArray[np.int64] = field(init=False)
     met: NDArray[np.int64] = field(init=False)
     slave_nodes: NDArray[np.int64] = field(init=False)
     position: Array = field(init=False)
     projection: PlaneProjection | None = field(init=False, default=None)
+    gap: Array = field(init=False)
     response: Response | None = field(init=False, default=None)
     jump: Array | None = field(init=False, default=None)
     surface_potential: Array | None = field(init=False, default=None)
@@ -70,7 +73,9 @@ class PlanePass:
 
     def __post_init__(self) -> None:
         self.history = History.virgin(len(self.points.weight))
+        self.shift = Shift.none(self.slave.kind, len(self.slave))
         self.drag = Drag.none(len(self.points.weight))
+        self.remember()
         self.move({})
         self.last_offset = self.offset
         self.force = np.zeros(len(self.normal))
@@ -89,19 +94,33 @@ class PlanePass:
         if plane.potential is not None and plane.potential_follows is not None:
             self.potential *= factors.get(plane.potential_follows, 0.0)
 
-    def memory(self) -> History:
-        """What is remembered of a converged step."""
-        return self.history.copy()
+    def remember(self) -> None:
+        """Take history and multipliers for those of the last converged step."""
+        self._converged = self.memory()
 
-    def recall(self, memory: History) -> None:
+    def memory(self) -> tuple[History, Shift]:
+        """What is remembered of a converged step: history and multipliers of the points."""
+        return self.history.copy(), self.shift.copy()
+
+    def recall(self, memory: tuple[History, Shift]) -> None:
         """Go back to what was remembered."""
-        self.history = memory.copy()
+        self.history, self.shift, self._converged = memory[0].copy(), memory[1].copy(), memory
+
+    def give_up(self) -> None:
+        """Go back to the multipliers of the last converged step."""
+        self.shift = self._converged[1].copy()
 
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
-        p = self.points
-        same = np.ones(len(p.facet), np.int64)
-        return np.stack([self.pair * same, same, self.slave.key[p.facet], p.place], axis=1)
+        return self._keys(self.points.facet, self.points.place)
+
+    def corner_keys(self) -> NDArray[np.int64]:
+        """(facets * corners, 4) numbers of the corners of the facets."""
+        return self._keys(*(index.ravel() for index in np.indices(self.shift.gap.shape)))
+
+    def _keys(self, facet: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+        same = np.ones(len(facet), np.int64)
+        return np.stack([self.pair * same, same, self.slave.key[facet], place], axis=1)
 
     def look(self, position: Array, margin: float) -> None:
         """Find the points within `margin` (um) of the plane whose surface faces it, nodes being at `position`."""
@@ -132,7 +151,9 @@ class PlanePass:
             self.surface_potential = scale * np.einsum("mk,mk->m", shape, potentials[nodes])
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
-        r = self.response = self.law[rows].respond(gap, self.jump, self.history[rows])
+        shift = self.shift.at(self.slave.kind, facet, self.points.xi[rows])
+        self.gap = gap + shift[0]
+        r = self.response = respond(self.law[rows], gap, self.jump, self.history[rows], shift)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 # Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
 GROUNDING = 1e-8
+ROUNDING = 1e-12  # of the potential of a strain of one
 
 
 class Problem:
@@ -172,6 +173,15 @@ class Problem:
     def maximum(self, value: float) -> float:
         """The largest of the ranks' values."""
         return self.comm.allreduce(value, op=MPI.MAX)
+
+    def potential_range(self) -> float:
+        """Range of the potential over the model, V, or what round-off makes of one."""
+        scale = self.model.potential_scale
+        if scale is None:
+            return 1.0
+        values = scale * self.state.array_r.reshape(-1, self.model.block)[:, -1]
+        ends = np.array([values.max(initial=-np.inf), -values.min(initial=np.inf)])
+        return max(float(reductions.largest(self.comm, ends).sum()), ROUNDING * scale)
 
     def motion(self) -> float:
         """How far a node has moved since the step began, um: the largest component."""

@@ -289,6 +289,11 @@ class Contact(Keys):
         default_factory=_factor("electric_penalty", 10.0),
         description="times permittivity / facet size; default 10 without electric_penalty",
     )
+    augment: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="gap (in facet sizes) and potential jump (in the potential's range) that augmentation may leave; "
+        "absent: what the penalties leave",
+    )
     nodal_weight: Literal["area", "unit"] | None = Field(
         default_factory=lambda given: "area" if given.get("method") == "node" else None,
         description="method node only; unit: one spring per node with no area; default area",
@@ -305,6 +310,8 @@ class Contact(Keys):
                 raise SceneError(key, f"both {key} and {key}_factor", f"either {key} or {key}_factor")
         if self.nodal_weight is not None and self.method != "node":
             raise SceneError("nodal_weight", shown(self.nodal_weight), 'nothing unless method = "node"')
+        if self.augment is not None and self.adhesion is not None and self.adhesion.law == "lennard_jones":
+            raise SceneError("augment", self.augment, 'nothing with law "lennard_jones"')
         if self.pairs == []:
             raise SceneError("pairs", self.pairs, '"auto" or at least one ["slave", "master"]')
         return self

@@ -21,7 +21,7 @@ from mpi4py import MPI
 from app import checkpoint, fenicsx
 from app.contact_pairs import contact_of, pair_names
 from app.files import on_root
-from app.history import Balance, columns, row
+from app.history import Balance, augments, columns, row
 from app.model import Model
 from app.output import FieldOutput, contact_points
 from app.problem import Problem
@@ -246,6 +246,9 @@ class _Session:
             keys = np.concatenate([p.keys()[k] for p, k in zip(contact.every, known, strict=True)])
             opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.every, known, strict=True)])
             points["opening"] = (keys, opening[:, None])
+            if augments(model):
+                shifts = [np.stack([p.shift.gap, p.shift.jump], axis=2).reshape(-1, 2) for p in contact.every]
+                points["shift"] = (np.concatenate([p.corner_keys() for p in contact.every]), np.concatenate(shifts))
             if contact.cuts:
                 # Where pieces lie follows from states before this one.
                 points["place"] = (
@@ -283,6 +286,9 @@ class _Session:
                 values, found = stored.points("opening", p.keys())
                 p.history.touched[:] = found
                 p.history.opening[:] = np.where(found, values[:, 0], 0.0)
+                if augments(model):
+                    values, _ = stored.points("shift", p.corner_keys())
+                    p.shift.gap[:], p.shift.jump[:] = values.T.reshape(2, *p.shift.gap.shape)
         self.history = list(stored.scalars["history"])
         self.last_step = stored.step
         self._remember()

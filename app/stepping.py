@@ -18,6 +18,7 @@ SNAP_CUTBACKS = 3  # times that a step is halved before bonds are taken to snap
 SNAP_PARTS = 100  # in which they must come to rest
 SNAP_LEVELS, SNAP_FALL = 5, 0.25  # drag falls by this factor so many times before none is tried
 SNAP_WAIT = 3  # parts to go on with a drag after less of it has failed
+AUGMENTATIONS = 40  # of one solve
 DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
 
 
@@ -54,12 +55,17 @@ def steps(load: Load) -> Iterator[Step]:
 
 @dataclass
 class StepReport:
-    """What a step took: Newton and Krylov iterations, how often it was cut, relative residuals of its solves."""
+    """What a step took: Newton and Krylov iterations, augmentations, cuts, relative residuals of its solves."""
 
     newton: int
     krylov: int
     cutbacks: int
     solves: list[NewtonReport]
+    augmentations: int = 0
+
+
+class AugmentationError(SolveError):
+    """Augmentation does not reach its tolerance, which smaller steps would not change."""
 
 
 class Stepper:
@@ -83,6 +89,8 @@ class Stepper:
             target = min(done + self.size, 1.0)
             try:
                 self._part(step.factors(target), committed, report)
+            except AugmentationError:
+                raise
             except SolveError as error:
                 report.cutbacks += 1
                 contact = self.problem.contact
@@ -111,17 +119,35 @@ class Stepper:
             problem.residual(problem.state, problem.state.duplicate())
             problem.contact.hold_back(drag)
         try:
-            solve = self.newton.solve(margin)
+            self._solve(margin, report)
         except SolveError:
             problem.start.copy(problem.state)
+            if problem.contact is not None:
+                problem.contact.give_up()
             raise
-        report.newton += solve.iterations
-        report.krylov += solve.krylov
-        report.solves.append(solve)
         self.last_motion = problem.motion()
         if problem.contact is not None:
             problem.contact.commit()
         committed(factors)
+
+    def _solve(self, margin: float, report: StepReport) -> None:
+        """Bring the problem to equilibrium, again after each step of augmentation until gap and jump are small."""
+        problem, keys = self.problem, self.problem.model.scene.contact
+        for number in range(AUGMENTATIONS + 1):
+            solve = self.newton.solve(margin)
+            report.newton += solve.iterations
+            report.krylov += solve.krylov
+            report.solves.append(solve)
+            report.augmentations += number > 0
+            if keys is None or keys.augment is None:
+                return
+            if problem.contact.augment(keys.augment, problem.potential_range()):
+                return
+        gap, jump = problem.contact.left
+        raise AugmentationError(
+            f"{AUGMENTATIONS} augmentations leave a gap of {gap:.1e} facets and a jump of {jump:.1e} of the "
+            "potential's range: raise contact.augment or the penalties, or take one pass"
+        )
 
     def _cut(self, step: Step, error: SolveError) -> None:
         """Halve the share of a step that is tried; SolveError when that has been done often enough."""

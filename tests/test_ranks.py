@@ -129,6 +129,8 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "segments of order 2": lambda: halves({"method": "segment", "passes": 1}, "tensor", 2),
     "segments of tetrahedra": lambda: crossed({"method": "segment", "adhesion": CUTOFF}, 1, **floating()),
     "segments of bricks": lambda: bricks({"method": "segment", "passes": 1, "adhesion": BILINEAR}, 1),
+    "augmented": lambda: halves({"method": "segment", "augment": 3e-3, "adhesion": BILINEAR}, "simplex", 1),
+    "augmented bricks": lambda: bricks({"method": "point", "augment": 1e-2}, 1),
     "multigrid": lambda: crossed(
         {"method": "node", "adhesion": BILINEAR}, 1, **floating(kind="iterative", petsc={"ksp_rtol": 1e-13})
     ),

@@ -155,8 +155,9 @@ def test_resumed_on_another_number_of_ranks(
 def test_segments_keep_the_history_of_their_pieces(
     comm: MPI.Comm, shared_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Interrupted while bonds break, where every step has other pieces than the one before."""
-    cut = scene().model_copy(update={"contact": scene().contact.model_copy(update={"method": "segment"})})
+    """Interrupted while bonds break, where every step has other pieces than the one before, and multipliers."""
+    keys = {"method": "segment", "augment": 1e-2}
+    cut = scene().model_copy(update={"contact": scene().contact.model_copy(update=keys)})
     whole = run(cut, comm).history
     assert 0.0 < whole[8]["dissipated"] < whole[-1]["dissipated"]
     with monkeypatch.context() as patch, pytest.raises(Interrupted):
