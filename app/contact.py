@@ -292,16 +292,16 @@ class Contact:
         """Global node numbers of each facet pair of the terms."""
         return self.nodes[terms.nodes]
 
-    def reserve(self) -> NDArray[np.int64]:
-        """Global nodes of the facet pairs that are in contact or near it at the last evaluation."""
+    def reserve(self, ahead: float = 0.0) -> NDArray[np.int64]:
+        """Global nodes of the facet pairs in contact, or nearer to it than `ahead` (um), at the last evaluation."""
         sets = []
         for p in self.passes:
-            near = p.projection.gap < p.law.reach + 0.5 * p.size[p.rows[p.met]]
+            near = p.projection.gap < p.law.reach + ahead + 0.5 * p.size[p.rows[p.met]]
             facets, partners = p.points.facet[p.rows[p.met[near]]], p.facet[p.met[near]]
             pairs = np.unique(np.stack([facets, partners], axis=1), axis=0)
             sets.append(np.concatenate([p.slave_nodes[pairs[:, 0]], p.master_nodes[pairs[:, 1]]], axis=1))
         for p in self.planes:
-            near = p.projection.gap < p.law.reach + 0.5 * p.size[p.rows]
+            near = p.projection.gap < p.law.reach + ahead + 0.5 * p.size[p.rows]
             nodes = p.slave_nodes[np.unique(p.points.facet[p.rows[near]])]
             sets.append(np.concatenate([nodes, nodes], axis=1))
         return self.nodes[np.concatenate(sets)]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from app import fenicsx
 from app.contact import Contact
+from app.linear import DIRECT_LIMIT_3D, is_direct
 from app.model import Model
 from app.scene_errors import named
-from app.solver import DIRECT_LIMIT_3D, is_direct
 
 AXES = "xyz"
 

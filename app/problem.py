@@ -50,7 +50,8 @@ class Problem:
             self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
             self._assemble_bulk()
             self._ground()
-            self.tangent_matrix = TangentMatrix(self.comm, self._base(), model.block, model.fixed_global)
+        self._matrix: TangentMatrix | None = None
+        self.renewals = 0  # how often bulk and grounding have changed
         self.full = self.state.duplicate()  # residual with the reactions of what is fixed
         self._loads = self.state.duplicate()
         self.start = self.state.duplicate()  # the last converged state
@@ -92,7 +93,8 @@ class Problem:
             self.refresh()
             values = self.model.state.x.array.reshape(-1, self.model.block)
             self.contact.pair(self.state, values, self.model.coordinates, margin)
-        self.tangent_matrix.forget_pattern()
+        if self._matrix is not None:
+            self._matrix.forget_pattern()
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there."""
@@ -107,23 +109,37 @@ class Problem:
         self.full.copy(result)
         result.array[self.model.fixed] = 0.0
 
-    def tangent(self, x: PETSc.Vec) -> tuple[PETSc.Mat, bool]:
-        """The tangent at x, the fixed unknowns eliminated, and whether its pattern differs from the last."""
+    def linearize(self, x: PETSc.Vec) -> None:
+        """Take up the tangent at x: `lift`, `tangent` and `contact_terms` are then those of this state."""
         self._update_bulk(x)
-        none = np.zeros((0, 2), np.int64)
-        nodes, matrices, reserve = none, np.zeros((0, 2 * self.model.block, 2 * self.model.block)), none
         if self.contact is not None:
             with self.timer("contact"):
                 self._terms = self.contact.evaluate(x, tangent=True)
-                nodes, matrices = self.contact.global_nodes(self._terms), self._terms.matrices
-                reserve = self.contact.reserve()
+
+    def tangent(self) -> tuple[PETSc.Mat, bool]:
+        """The tangent as a matrix, the fixed unknowns eliminated, and whether its pattern differs from the last."""
+        nodes, matrices = self.contact_terms()
+        reserve = self.contact.reserve() if self.contact is not None else nodes
         with self.timer("assembly"):
-            matrix, fresh = self.tangent_matrix.assemble(nodes, matrices, reserve)
-            self.tangent_matrix.eliminate()
+            if self._matrix is None:
+                self._matrix = TangentMatrix(self.comm, self._base(), self.model.block, self.model.fixed_global)
+            matrix, fresh = self._matrix.assemble(nodes, matrices, reserve)
+            self._matrix.eliminate()
         return matrix, fresh
 
+    def contact_terms(self) -> tuple[NDArray[np.int64], Array]:
+        """Contact's part of the tangent: global nodes (k, n) of each pair of facets here, and its matrix."""
+        if self.contact is None:
+            size = 2 * self.model.block
+            return np.zeros((0, 2), np.int64), np.zeros((0, size, size))
+        return self.contact.global_nodes(self._terms), self._terms.matrices
+
+    def without_contact(self) -> PETSc.Mat:
+        """A copy of the tangent's bulk and grounding, nothing eliminated from it."""
+        return self._base().copy()
+
     def lift(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = tangent of the last `tangent` times a change of the fixed unknowns."""
+        """result = tangent of the last `linearize` times a change of the fixed unknowns."""
         self._base().mult(change, result)
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)
@@ -245,7 +261,12 @@ class Problem:
             self._grounding.scale(factor / self._factor)
             self._factor = factor
             self._grounded = None
-            self.tangent_matrix.set_bulk(self._base())
+            self._renew()
+
+    def _renew(self) -> None:
+        self.renewals += 1
+        if self._matrix is not None:
+            self._matrix.set_bulk(self._base())
 
     def carried_by_grounding(self) -> float:
         """Forces of the springs on floating parts over the forces of the loads; 0 without springs or loads."""
@@ -278,7 +299,7 @@ class Problem:
         with self.timer("assembly"):
             self._set_state(x)
             self._assemble_bulk()
-            self.tangent_matrix.set_bulk(self._base())
+            self._renew()
 
     def _bulk_residual(self, x: PETSc.Vec) -> None:
         if self.finite:

@@ -22,6 +22,7 @@ from app import checkpoint, fenicsx
 from app.contact_pairs import contact_of, pair_names
 from app.files import on_root
 from app.history import Balance, augments, columns, row
+from app.linear import Direct, Multigrid
 from app.model import Model
 from app.output import FieldOutput, contact_points
 from app.problem import Problem
@@ -142,7 +143,7 @@ class _Session:
         with progress:
             if self.scene.outcome is not None:
                 log.info("%s", self.scene.outcome)
-            log.info("%s", describe(self.model, self.problem, self.stepper.newton.direct, self.pairs))
+            log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear, self.pairs))
             for step in todo:
                 if stop.asked():
                     failure = Interrupted(f"interrupted: {self._kept()}")
@@ -312,11 +313,11 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
         return plan_text(model, contact_of(model), pair_names(model) if scene.contact else [])
 
 
-def describe(model: Model, problem: Problem, direct: bool, pairs: list[str]) -> str:
+def describe(model: Model, problem: Problem, linear: Direct | Multigrid, pairs: list[str]) -> str:
     """One line for the log: size, physics, solver."""
     physics = "displacement and potential" if model.electric else "displacement"
     how = "one linear solve a step" if problem.linear else "Newton's method"
-    solver = "direct" if direct else "Krylov with multigrid"
+    solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
     return f"{model.unknowns} unknowns ({physics}), {len(pairs)} contact pairs, {how}, {solver} linear solver"
 
 

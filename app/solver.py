@@ -6,24 +6,19 @@ import itertools
 import logging
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import fenicsx
-from app.model import Model, rigid_modes
+from app.linear import linear_solver
 from app.problem import Problem
 from app.scene_sections import Solver
 
 log = logging.getLogger("piezomat")
 
 PREFIXES = (f"piezomat{number}_" for number in itertools.count())  # one run's options are not the next one's
-# Largest three-dimensional model for which a direct factorization is the faster choice (REFERENCES: MUMPS takes
-# 2.8 s at 50,000 unknowns and 74 s at 251,000, multigrid 6.5 s there).
-DIRECT_LIMIT_3D = 60_000
 FIELD_FLOOR = 1e-3  # a field's residual is measured against at least this share of the other field's forces
 SLOPE_REDUCTION = 0.5  # share of the first slope at which a line search is content
 LINE_SEARCHES = 30
@@ -50,13 +45,6 @@ class NewtonReport:
     residuals: list[float] = field(default_factory=list)
 
 
-def is_direct(model_dim: int, unknowns: int, keys: Solver) -> bool:
-    """Whether the linear systems are factorized: in 2D, and in 3D as long as that is cheap, unless told otherwise."""
-    if keys.kind != "auto":
-        return keys.kind == "direct"
-    return model_dim == 2 or unknowns <= DIRECT_LIMIT_3D
-
-
 class Newton:
     """Solves a `Problem` at its present load level, starting from its present state. Every method is collective."""
 
@@ -64,28 +52,29 @@ class Newton:
         self.problem = problem
         self.keys = keys
         self.comm = problem.comm
-        self.direct = is_direct(problem.model.dim, problem.model.unknowns, keys)
         self._residual = problem.state.duplicate()
         self._right = problem.state.duplicate()
         self._change = problem.state.duplicate()
         self._trial = problem.state.duplicate()
         self._trial_is_next = False
         self._reference = np.zeros(1 + problem.model.electric)
-        self._kept: list[PETSc.Mat] = []
         self._repair = False
         self._linear_solve = ExitStack()
-        self._prefix = next(PREFIXES)
-        self._set_options()
+        prefix = next(PREFIXES)
+        self.linear = linear_solver(problem, keys)
+        options = {"snes_linesearch_type": "basic", **self.linear.options(), **keys.petsc}
+        self._options = {prefix + name: value for name, value in options.items()}
+        for name, value in self._options.items():
+            PETSc.Options()[name] = value
         self.snes = PETSc.SNES().create(self.comm)
-        self.snes.setOptionsPrefix(self._prefix)
+        self.snes.setOptionsPrefix(prefix)
         self.snes.setType(PETSc.SNES.Type.NEWTONLS)
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._evaluate, self._residual)
         self.snes.setConvergenceTest(self._converged)
         if problem.contact is not None:
             self.snes.setLineSearchPreCheck(self._shorten)
-        self._rigid = None if self.direct else _near_nullspace(problem.model, self.comm)
-        self._split_fields()
+        self.linear.attach(self.snes.getKSP())
         self.snes.setFromOptions()
 
     def close(self) -> None:
@@ -95,6 +84,7 @@ class Newton:
             options.delValue(name)
         # SNES holds methods of this solver: with newer PETSc Python cannot find that the two hold only each other.
         self.snes.getDict().clear()
+        self.linear.close()
 
     def solve(self, margin: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
@@ -126,14 +116,14 @@ class Newton:
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem
         self._reference[:] = 0.0
-        self._predict(report)
+        self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)
             return
         cuts = CUTS
         for _ in range(REPAIRINGS):
             self._repair = False
-            self.snes.setJacobian(self._tangent, self._kept[-1])
+            self.snes.setJacobian(self._tangent, *self._operators)
             with self._linear_solve:
                 self.snes.solve(None, problem.state)
             report.iterations += self.snes.getIterationNumber()
@@ -146,6 +136,7 @@ class Newton:
                 elif cuts and problem.contact is not None and problem.contact.stale:
                     cuts -= 1
                 else:
+                    self._polish(report)
                     return
             else:
                 margin = 2.0 * margin
@@ -154,7 +145,13 @@ class Newton:
             problem.pair(margin)
         raise SolveError("the contact surfaces kept moving further than the contact search had looked")
 
-    def _predict(self, report: NewtonReport) -> None:
+    def _polish(self, report: NewtonReport) -> None:
+        """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
+        if self.linear.close_tolerance is not None and self.problem.floats:
+            self._predict(report, closely=True)
+            self.problem.residual(self.problem.state, self._residual)
+
+    def _predict(self, report: NewtonReport, *, closely: bool = False) -> None:
         """The start value: one linear step from the converged state that takes up the change of what is fixed.
 
         Without it a boundary would jump while the rest stays, and the first residual would be that of a torn body.
@@ -165,7 +162,7 @@ class Newton:
         change = problem.fixed_change()
         self._residual.copy(self._right)
         self._right.scale(-1.0)
-        matrix = self._new_tangent(problem.state)
+        self._operators = self.linear.linearize(problem.state)
         problem.lift(change, self._change)
         self._right.axpy(-1.0, self._change)
         free = self._right.array_r.copy()
@@ -174,7 +171,10 @@ class Newton:
         self._reference = np.maximum(self._reference, problem.norms(self._right))
         self._right.array[fixed] = change.array_r[fixed]
         ksp = self.snes.getKSP()
-        ksp.setOperators(matrix)
+        ksp.setOperators(*self._operators)
+        tolerance = self.linear.close_tolerance if closely else self.linear.start_tolerance
+        if tolerance is not None:
+            ksp.setTolerances(rtol=tolerance)
         with problem.timer("linear_solve"):
             ksp.solve(self._right, self._change)
         self._check_ksp(ksp)
@@ -182,15 +182,6 @@ class Newton:
         problem.state.array[fixed] = problem.targets
         report.iterations += 1
         report.krylov += ksp.getIterationNumber()
-
-    def _new_tangent(self, x: PETSc.Vec) -> PETSc.Mat:
-        matrix, fresh = self.problem.tangent(x)
-        if fresh:
-            # SNES still holds the matrix of the old pattern while it asks for the new one.
-            self._kept = [*self._kept[-1:], matrix]
-            if self._rigid is not None and not self.problem.model.electric:
-                matrix.setNearNullSpace(self._rigid)
-        return matrix
 
     def _evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
         reuse, self._trial_is_next = self._trial_is_next and x.equal(self._change), False
@@ -246,9 +237,9 @@ class Newton:
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
             self.problem.contact.settle(snes.getIterationNumber(), self._report.residuals[-1])
-        matrix = self._new_tangent(x)
-        if matrix.handle != a.handle:
-            snes.setJacobian(self._tangent, matrix)
+        self._operators = self.linear.linearize(x)
+        if [matrix.handle for matrix in self._operators] != [a.handle, p.handle]:
+            snes.setJacobian(self._tangent, *self._operators)
         self._linear_solve.enter_context(self.problem.timer("linear_solve"))
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
@@ -286,7 +277,7 @@ class Newton:
             report.residuals.append(self._relative(self._residual))
             if report.residuals[-1] <= self.keys.tolerance:
                 return
-            self._predict(NewtonReport())
+            self._predict(NewtonReport(), closely=True)
         raise SolveError(f"the linear system was solved to a relative residual of {report.residuals[-1]:.1e} only")
 
     def _check(self, reason: int) -> None:
@@ -307,73 +298,6 @@ class Newton:
         reason = ksp.getConvergedReason()
         if reason > 0:
             return
-        if self.direct:
-            raise SolveError("the tangent matrix is singular: something can move, or charge up, without resistance")
+        if self.linear.failure:
+            raise SolveError(self.linear.failure)
         raise SolveError(f"the Krylov solver stopped after {ksp.getIterationNumber()} iterations (reason {reason})")
-
-    def _set_options(self) -> None:
-        options = PETSc.Options()
-        chosen: dict[str, Any] = {"snes_linesearch_type": "basic"}
-        if self.direct:
-            # LDL^T of the symmetric tangent takes half the work of LU; both can pivot on its negative block.
-            factor = "cholesky" if self.problem.symmetric else "lu"
-            chosen |= {"ksp_type": "preonly", "pc_type": factor, "pc_factor_mat_solver_type": "mumps"}
-            chosen |= {"mat_mumps_icntl_14": 60}
-        else:
-            chosen |= {
-                "ksp_type": "fgmres",
-                "ksp_rtol": min(1e-8, 0.1 * self.keys.tolerance),
-                "ksp_gmres_restart": 100,
-                "ksp_max_it": 1000,
-            }
-            chosen |= self._multigrid()
-        self._options = {self._prefix + name: value for name, value in {**chosen, **self.keys.petsc}.items()}
-        for name, value in self._options.items():
-            options[name] = value
-
-    def _multigrid(self) -> dict[str, Any]:
-        """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""
-        # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
-        amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02, "mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
-        if not self.problem.model.electric:
-            return amg
-        split: dict[str, Any] = {
-            "pc_type": "fieldsplit",
-            "pc_fieldsplit_type": "multiplicative",
-            "fieldsplit_phi_ksp_type": "preonly",
-            "fieldsplit_phi_pc_type": "hypre",
-            "fieldsplit_u_ksp_type": "preonly",
-        }
-        return split | {f"fieldsplit_u_{name}": value for name, value in amg.items()}
-
-    def _split_fields(self) -> None:
-        """Tell the split which unknowns are displacements, with their rigid-body modes, and which the potential."""
-        model = self.problem.model
-        if self.direct or not model.electric:
-            return
-        start = model.space.dofmap.index_map.local_range[0]
-        nodes = np.arange(start, start + model.owned)
-        d, block = model.dim, model.block
-        displacement = (nodes[:, None] * block + np.arange(d)).ravel().astype(PETSc.IntType)
-        u = PETSc.IS().createGeneral(displacement, comm=self.comm)
-        u.setBlockSize(d)
-        u.compose("nearnullspace", self._rigid)
-        phi = PETSc.IS().createGeneral((nodes * block + d).astype(PETSc.IntType), comm=self.comm)
-        pc = self.snes.getKSP().getPC()
-        pc.setType(PETSc.PC.Type.FIELDSPLIT)
-        pc.setFieldSplitIS(("u", u), ("phi", phi))
-
-
-def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
-    x = model.coordinates[: model.owned]
-    modes: NDArray[np.float64] = rigid_modes(x)
-    vectors = []
-    for k in range(modes.shape[2]):
-        vector = PETSc.Vec().createMPI((model.owned * model.dim, None), bsize=model.dim, comm=comm)
-        vector.array[:] = modes[:, :, k].ravel()
-        vectors.append(vector)
-    for i, vector in enumerate(vectors):
-        for other in vectors[:i]:
-            vector.axpy(-vector.dot(other), other)
-        vector.normalize()
-    return PETSc.NullSpace().create(vectors=vectors, comm=comm)

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 BOX_FACETS = 64  # facets in a box of the coarse search
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
 FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other
+SURELY_FACING = -0.5  # the same cosine in the middle of a curved facet that faces all over
 BULGE = 0.1  # how far a curved facet may reach out of the box of its nodes, in its length
 SEARCH_ITERATIONS = 6  # to the closest point of a curved facet: enough where the point is over the facet
 TIE = 1e-9  # facets equally near within this share of their size are told apart by their key
@@ -132,6 +133,8 @@ def closest_facets(
     row, facet, unseen = _candidates(kind, points, facets, margin)
     if not len(row):
         return found, where
+    able = _may_be_nearest(kind, points, normals, facets, orientation, row, facet)
+    row, facet = row[able], facet[able]
     seen = _look(kind, points, normals, facets, orientation, row, facet)
     least = seen.least(len(points))
     again = np.flatnonzero(np.isfinite(least) & (unseen < least))
@@ -262,6 +265,27 @@ def _candidates(
         if count < len(members):
             unseen = np.minimum(unseen, distance[:, -1] - radius)
     return np.concatenate(rows), np.concatenate(columns), unseen
+
+
+def _may_be_nearest(
+    kind: FacetKind,
+    points: Array,
+    normals: Array,
+    facets: Array,
+    orientation: Array,
+    row: NDArray[np.int64],
+    facet: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """Which of these pairs of a point and a facet a cheap bound cannot rule out: few need a closer look."""
+    center = facets.mean(axis=1)
+    radius = (1.0 + BULGE) * np.linalg.norm(facets - center[:, None], axis=2).max(axis=1)
+    distance = np.linalg.norm(points[row] - center[facet], axis=1)
+    middle = np.tile(kind.nodes.mean(axis=0), (len(facets), 1))
+    facing = np.einsum("md,md->m", point_normals(kind, middle, facets, orientation)[facet], normals[row])
+    sure = facing < SURELY_FACING
+    nearest = np.full(len(points), np.inf)
+    np.minimum.at(nearest, row[sure], distance[sure] + BULGE * radius[facet[sure]])
+    return distance - radius[facet] <= nearest[row]
 
 
 def _all_within(points: Array, facets: Array, distance: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -18,6 +18,10 @@ def scales(rows: Rows) -> dict[str, float]:
     for kinds in (("force_", "contact_force_"), ("charge@",), ("mean_potential@",)):
         alike = [name for name in own if name.startswith(kinds)]
         own |= dict.fromkeys(alike, max((own[name] for name in alike), default=0.0))
+    for name in own:
+        if name.startswith("force_"):
+            # What bends freely has no reactions but rounding: the energy over a micrometre says what is none.
+            own[name] = max(own[name], own["elastic"])
     potential = max((own[name] for name in own if name.startswith("mean_potential@")), default=0.0)
     for name in own:
         if name.startswith("charge@") and potential > 0.0:

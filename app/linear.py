@@ -1,0 +1,219 @@
+"""The linear systems of Newton's method: how they are solved, what is chosen, and why."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.condensation import Condensation
+from app.model import Model, rigid_modes
+from app.problem import Problem
+from app.scene_sections import Solver
+
+# Largest three-dimensional model for which a direct factorization is the faster choice (REFERENCES: MUMPS takes
+# 2.8 s at 50,000 unknowns and 74 s at 251,000, multigrid 6.5 s there).
+DIRECT_LIMIT_3D = 60_000
+CONDENSED_LIMIT = 5_000  # unknowns of the contact's candidates, whose dense matrix is factorized in each iteration
+START_TOLERANCE = 1e-3  # of the linear solve that gives Newton's method its start value
+AGED = 1.5  # growth of the Krylov iterations a digit that has a preconditioner made anew
+
+
+def is_direct(model_dim: int, unknowns: int, keys: Solver) -> bool:
+    """Whether the linear systems are factorized: in 2D, and in 3D as long as that is cheap, unless told otherwise."""
+    if keys.kind != "auto":
+        return keys.kind == "direct"
+    return model_dim == 2 or unknowns <= DIRECT_LIMIT_3D
+
+
+def linear_solver(problem: Problem, keys: Solver) -> Direct | Multigrid:
+    """The solver that suits a problem, unless the scene's [solver] asks for another."""
+    model = problem.model
+    return (Direct if is_direct(model.dim, model.unknowns, keys) else Multigrid)(problem, keys)
+
+
+class _Operator:
+    """The tangent of a problem's last linearization, its fixed unknowns eliminated, as PETSc's shell matrix."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self._free = problem.state.duplicate()
+        sizes = problem.state.getSizes()
+        self.matrix = PETSc.Mat().createPython((sizes, sizes), self, comm=problem.comm)
+        self.matrix.setUp()
+
+    def close(self) -> None:
+        """Part from PETSc's matrix: each holds the other."""
+        self.matrix.destroy()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = tangent times x."""
+        fixed = self.problem.model.fixed
+        x.copy(self._free)
+        self._free.array[fixed] = 0.0
+        self.problem.lift(self._free, result)
+        result.array[fixed] = x.array_r[fixed]
+
+
+class Direct:
+    """Factorizations: of the whole tangent, or once of its constant bulk and then of the contact's share alone."""
+
+    failure = "the tangent matrix is singular: something can move, or charge up, without resistance"
+    start_tolerance = close_tolerance = None
+
+    def __init__(self, problem: Problem, keys: Solver) -> None:
+        self.problem = problem
+        own_choice = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
+        constant = problem.contact is not None and not problem.finite and problem.symmetric
+        self._condensation = Condensation(problem) if constant and not own_choice else None
+        self._operator = _Operator(problem)
+        self._matrix: PETSc.Mat | None = None
+
+    def close(self) -> None:
+        """Part from PETSc's objects, which hold this one. Ends its use."""
+        self._operator.close()
+        self._pc.destroy()
+
+    def options(self) -> dict[str, Any]:
+        """PETSc options, with SNES's prefix to come."""
+        return {"mat_mumps_icntl_14": 60}  # room for pivots
+
+    def attach(self, ksp: PETSc.KSP) -> None:
+        """Set up SNES's Krylov solver."""
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        self._pc = ksp.getPC()
+        if self._condensation is not None:
+            self._pc.setType(PETSc.PC.Type.PYTHON)
+            self._pc.setPythonContext(self)
+        else:
+            self._factorize_all()
+
+    def linearize(self, x: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Mat]:
+        """Take up the tangent at x: the operator, and what its preconditioner is made from."""
+        self.problem.linearize(x)
+        if self._condensation is not None:
+            with self.problem.timer("linear_solve"):
+                few = self._condensation.update(CONDENSED_LIMIT)
+            if few:
+                return self._operator.matrix, self._operator.matrix
+            self._condensation = None
+            self._factorize_all()
+        # SNES still holds the matrix of an old pattern while it asks for the new one.
+        self._last, (self._matrix, _) = self._matrix, self.problem.tangent()
+        return self._matrix, self._matrix
+
+    def apply(self, pc: PETSc.PC, right: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Solve the condensed system: PETSc's shell preconditioner, an exact one."""
+        self._condensation.solve(right, result)
+
+    def _factorize_all(self) -> None:
+        # LDL^T of the symmetric tangent takes half the work of LU; both can pivot on its negative block.
+        self._pc.setType(PETSc.PC.Type.CHOLESKY if self.problem.symmetric else PETSc.PC.Type.LU)
+        self._pc.setFactorSolverType("mumps")
+
+
+class Multigrid:
+    """FGMRES with algebraic multigrid, made for one tangent and kept as long as it serves for the next ones.
+
+    Newton's method asks for no more digits than it can use (Eisenstat and Walker 1996), unless the scene says how many.
+    """
+
+    failure = ""
+    start_tolerance: float | None = START_TOLERANCE
+    close_tolerance: float | None
+
+    def __init__(self, problem: Problem, keys: Solver) -> None:
+        self.problem = problem
+        self._operator = _Operator(problem)
+        self._rigid = _near_nullspace(problem.model, problem.comm)
+        self._matrix: PETSc.Mat | None = None
+        self._rate = 0.0  # Krylov iterations a digit in the first solve with the present preconditioner
+        self.close_tolerance = min(1e-8, 0.1 * keys.tolerance)
+        self._inexact = "ksp_rtol" not in keys.petsc
+        if not self._inexact:
+            self.start_tolerance = self.close_tolerance = None
+
+    def close(self) -> None:
+        """Part from PETSc's objects, which hold this one. Ends its use."""
+        self._operator.close()
+
+    def options(self) -> dict[str, Any]:
+        """PETSc options, with SNES's prefix to come."""
+        chosen = {
+            "ksp_type": "fgmres",
+            "ksp_gmres_restart": 100,
+            "ksp_max_it": 1000,
+        }
+        if self._inexact:
+            chosen |= {"snes_ksp_ew": True, "snes_ksp_ew_rtol0": 0.1, "snes_ksp_ew_rtolmax": 0.1}
+        return chosen | self._multigrid()
+
+    def attach(self, ksp: PETSc.KSP) -> None:
+        """Set up SNES's Krylov solver: which unknowns are displacements (and their rigid modes), which potentials."""
+        self._ksp = ksp
+        model = self.problem.model
+        if not model.electric:
+            return
+        start = model.space.dofmap.index_map.local_range[0]
+        nodes = np.arange(start, start + model.owned)
+        d, block = model.dim, model.block
+        displacement = (nodes[:, None] * block + np.arange(d)).ravel().astype(PETSc.IntType)
+        u = PETSc.IS().createGeneral(displacement, comm=self.problem.comm)
+        u.setBlockSize(d)
+        u.compose("nearnullspace", self._rigid)
+        phi = PETSc.IS().createGeneral((nodes * block + d).astype(PETSc.IntType), comm=self.problem.comm)
+        pc = ksp.getPC()
+        pc.setType(PETSc.PC.Type.FIELDSPLIT)
+        pc.setFieldSplitIS(("u", u), ("phi", phi))
+
+    def linearize(self, x: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Mat]:
+        """Take up the tangent at x: the operator, and what its preconditioner is made from."""
+        self.problem.linearize(x)
+        if self._matrix is None or self._has_aged():
+            # SNES still holds the matrix of an old pattern while it asks for the new one.
+            self._last = self._matrix
+            self._matrix, fresh = self.problem.tangent()
+            if fresh and not self.problem.model.electric:
+                self._matrix.setNearNullSpace(self._rigid)
+            self._rate = 0.0
+        return self._operator.matrix, self._matrix
+
+    def _has_aged(self) -> bool:
+        """Whether the last solve took many more iterations a digit than the first with this preconditioner."""
+        digits = max(-np.log10(self._ksp.getTolerances()[0]), 0.5)
+        rate = max(self._ksp.getIterationNumber(), 5) / digits
+        self._rate = self._rate or rate
+        return rate > AGED * self._rate
+
+    def _multigrid(self) -> dict[str, Any]:
+        """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""
+        # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
+        amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02, "mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
+        if not self.problem.model.electric:
+            return amg
+        split: dict[str, Any] = {
+            "pc_type": "fieldsplit",
+            "pc_fieldsplit_type": "multiplicative",
+            "fieldsplit_phi_ksp_type": "preonly",
+            "fieldsplit_phi_pc_type": "hypre",
+            "fieldsplit_u_ksp_type": "preonly",
+        }
+        return split | {f"fieldsplit_u_{name}": value for name, value in amg.items()}
+
+
+def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
+    x = model.coordinates[: model.owned]
+    modes: NDArray[np.float64] = rigid_modes(x)
+    vectors = []
+    for k in range(modes.shape[2]):
+        vector = PETSc.Vec().createMPI((model.owned * model.dim, None), bsize=model.dim, comm=comm)
+        vector.array[:] = modes[:, :, k].ravel()
+        vectors.append(vector)
+    for i, vector in enumerate(vectors):
+        for other in vectors[:i]:
+            vector.axpy(-vector.dot(other), other)
+        vector.normalize()
+    return PETSc.NullSpace().create(vectors=vectors, comm=comm)

@@ -1,0 +1,86 @@
+"""Condensed tangents: MUMPS's Schur complement, and the same changes as the factorized whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from app import linear
+from app.condensation import Condensation
+from app.scene import Scene
+from app.schur import SchurFactor
+from app.simulation import run
+from tests.histories import assert_equal
+
+DIRECT = {"solver": {"petsc": {"mat_mumps_icntl_14": 60}}}  # a word on the factorization asks for that of the whole
+
+
+def pressed(dimension: int, **changes: object) -> Scene:
+    """Two half fibers, the upper one without an electrode, pressed together in two steps."""
+    along = [0.0] * (dimension - 1)
+    keys = {
+        "geometry": {"shape": "facing_halves" if dimension == 2 else "crossed_fibers"},
+        "mesh": {"size": 0.3, "contact_size": 0.1},
+        "bodies": {"lower": "pvdf", "upper": "pvdf"},
+        "boundaries": [
+            {"on": "bottom", "displacement": [*along, 0], "potential": 0},
+            {"on": "top", "displacement": [*along, -0.04], "follows": "press"},
+        ],
+        "contact": {},
+        "load": {"steps": [2], "factors": {"press": [1.0]}},
+        "solver": {"tolerance": 1e-11},
+    }
+    return Scene(**{**keys, **changes})
+
+
+def test_schur_complement_and_solution() -> None:
+    """Of a symmetric indefinite matrix, against dense algebra; also when nothing is kept."""
+    rng = np.random.default_rng(1)
+    dense = rng.normal(size=(12, 12))
+    dense = dense + dense.T + np.diag(np.repeat([20.0, -20.0], 6))
+    right = rng.normal(size=12)
+    for kept in ([7, 2, 11], []):
+        rows = np.arange(0, 145, 12, dtype=np.int32), np.tile(np.arange(12, dtype=np.int32), 12)
+        factor = SchurFactor(PETSc.Mat().createAIJ((12, 12), csr=(*rows, dense.ravel())), np.array(kept, np.int32))
+        rest = [i for i in range(12) if i not in kept]
+        inner = np.linalg.solve(dense[np.ix_(rest, rest)], dense[np.ix_(rest, kept)])
+        expected = dense[np.ix_(kept, kept)] - dense[np.ix_(kept, rest)] @ inner
+        assert factor.complement == pytest.approx(expected, abs=1e-12)
+        assert factor.solve(right) == pytest.approx(np.linalg.solve(dense, right), abs=1e-12)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_same_history_as_with_the_whole_tangent(dimension: int, comm: MPI.Comm) -> None:
+    condensed = run(pressed(dimension), comm).history
+    whole = run(pressed(dimension, solver={"tolerance": 1e-11, **DIRECT["solver"]}), comm).history
+    assert [row["newton"] for row in condensed] == [row["newton"] for row in whole]
+    assert_equal(condensed, whole)
+
+
+@pytest.mark.mpi
+def test_candidates_grow_with_the_contact(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A load gives no hint how far the contact will spread: it is condensed again as it does."""
+    counts = []
+    condense = Condensation._condense
+
+    def counted(self: Condensation, candidates: np.ndarray) -> None:
+        counts.append(len(candidates))
+        condense(self, candidates)
+
+    monkeypatch.setattr(Condensation, "_condense", counted)
+    boundaries = [
+        {"on": "bottom", "displacement": [0, 0], "potential": 0},
+        {"on": "top", "displacement": [0, "free"], "traction": [0, -60.0], "follows": "press"},
+    ]
+    run(pressed(2, mesh={"size": 0.15, "contact_size": 0.02}, boundaries=boundaries), comm)
+    assert len(set(counts)) > 1 and counts == sorted(counts)
+
+
+@pytest.mark.mpi
+def test_too_many_candidates_fall_back_on_the_whole(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+    reference = run(pressed(2), comm).history
+    monkeypatch.setattr(linear, "CONDENSED_LIMIT", 20)
+    assert_equal(run(pressed(2), comm).history, reference)
