@@ -149,3 +149,41 @@ def test_blocks_attract_and_repel_as_the_law_says(comm: MPI.Comm) -> None:
     assert stored == pytest.approx(row["external_work"], abs=0.1 * ENERGY)
     assert row["adhesion"] == pytest.approx(-ENERGY, rel=1e-9)
     assert row["dissipated"] == 0.0
+
+
+def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
+    """Blocks softer than the law's fall: they follow the far branch in, the near one out, and jump where each ends."""
+    r0, steps = LAW.distance, 40
+    compliance = 3.0 / float(LAW.steepness[0])  # of both blocks, one um together: their modulus is its inverse
+    start = 2.2 * FAR * r0
+    scene = press(
+        {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[2, 1], [2, 1]], "gap": start},
+        mesh={"cells": "tensor"},
+        materials={"soft": {"young": 1.0 / compliance, "poisson": 0.0}},
+        bodies={"lower": "soft", "upper": "soft"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": ["free", -1], "follows": "approach"},
+            {"on": "left", "displacement": [0, "free"]},
+        ],
+        contact={
+            "normal_penalty": PENALTY,
+            "adhesion": {"law": "lennard_jones", "strength": STRENGTH, "energy": ENERGY},
+        },
+        load={"steps": [steps, steps], "factors": {"approach": [start - 0.6 * r0, start - 6.0 * r0]}},
+        solver={"tolerance": 1e-11},
+    )
+    history = run(scene, MPI.COMM_SELF).history
+    gap = np.linspace(0.4 * r0, 12.0 * r0, 400_001)
+    distance = gap + compliance * traction(gap)  # between the blocks' far ends, less their height
+    expected = []
+    for row in history:
+        off = start - row["factor:approach"] - distance
+        crossings = np.flatnonzero(off[:-1] * off[1:] <= 0.0)
+        i = crossings[-1 if row["step"] <= steps else 0]
+        expected.append(traction(gap[i : i + 1] + off[i] / (off[i] - off[i + 1]) * (gap[1] - gap[0]))[0])
+    force = np.array([row["force_y@top"] for row in history])
+    np.testing.assert_allclose(force, expected, atol=1e-5 * STRENGTH)
+    # It snaps: the pull on the way out is greater than ever on the way in, and ends at once.
+    assert force[steps:].max() > 1.5 * force[:steps].max()
+    assert -np.diff(force[steps:]).min() > 0.5 * STRENGTH

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import gmsh
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -74,3 +77,47 @@ def test_in_three_dimensions(
     comm: MPI.Comm, divisions: tuple[list[int], list[int]], cells: str, order: int, tilt: float, passes: int
 ) -> None:
     assert stress_error(patch(divisions, cells, order, passes, tilt), comm, tilt) < 1e-10
+
+
+def offset_blocks(path: Path) -> None:
+    """A rectangle 0..1 and, on it, one 0.35..1.6, meshed with 4 and 3 elements along their sides."""
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        for body, x, width, y, divisions in (("lower", 0.0, 1.0, -0.5, 4), ("upper", 0.35, 1.25, 0.0, 3)):
+            face = gmsh.model.occ.addRectangle(x, y, 0.0, width, 0.5)
+            gmsh.model.occ.synchronize()
+            sides = [tag for _, tag in gmsh.model.getBoundary([(2, face)], oriented=False)]
+            for side in sides:
+                box = gmsh.model.getBoundingBox(1, side)
+                flat = box[4] - box[1] < 1e-3
+                gmsh.model.mesh.setTransfiniteCurve(side, 1 + (divisions if flat else 2))
+                if flat:
+                    name = f"{body}_contact" if abs(box[1]) < 1e-3 else {"lower": "bottom", "upper": "top"}[body]
+                    gmsh.model.addPhysicalGroup(1, [side], name=name)
+            gmsh.model.mesh.setTransfiniteSurface(face)
+            gmsh.model.addPhysicalGroup(2, [face], name=body)
+        gmsh.model.mesh.generate(2)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def test_blocks_that_stand_out_press_on_the_overlap_alone(tmp_path: Path) -> None:
+    """Either block as slave: nothing meets beyond the end of the other, and the force is the same."""
+    offset_blocks(tmp_path / "offset.msh")
+    force = []
+    for pair in (["lower_contact", "upper_contact"], ["upper_contact", "lower_contact"]):
+        scene = press(
+            {"file": tmp_path / "offset.msh"},
+            materials={"block": {"young": YOUNG, "poisson": 0}},
+            bodies={"lower": "block", "upper": "block"},
+            boundaries=[{"on": "bottom", "displacement": [0, 0]}, {"on": "top", "displacement": [0, -0.01]}],
+            contact={"method": "segment", "passes": 1, "pairs": [pair], "normal_penalty": PENALTY},
+        )
+        row = run(scene, MPI.COMM_SELF).history[-1]
+        # The overlap is 0.65; the ends tilt, so a little less of it presses.
+        assert 0.5 < row[f"contact_area@{'-'.join(pair)}"] < 0.65
+        force.append(row["force_y@top"])
+    # 0.5 % with quadrature points on whole facets.
+    assert force[0] == pytest.approx(force[1], rel=1e-4)
