@@ -19,6 +19,7 @@ _OPTIONS = {
     "General.Terminal": 0,
     "General.NumThreads": 1,
     "General.AbortOnError": 0,
+    "Mesh.Algorithm3D": 10,  # HXT, several times as fast as the default
     "Mesh.Binary": 1,
     "Mesh.MshFileVersion": 4.1,
     "Mesh.SaveAll": 0,
