@@ -20,8 +20,9 @@ from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints, contact_vectors
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from forms.contact.segments import Facets, nearest_points, segment_points
+from meshes.crowd import Meetings, Rule, VisibleFacets, share_facets
 from meshes.overlap import deepest_overlap
-from meshes.pairing import VisibleFacets, closest_facets, facing_pairs, near_points, point_normals, share_facets
+from meshes.pairing import closest_facets, facing_pairs, may_touch, near_points, point_normals
 from meshes.surface import Surface
 
 Array = NDArray[np.float64]
@@ -41,15 +42,39 @@ CUT_DRIFT = 1e-3
 TURNING = 1e-2
 
 
+@dataclass(frozen=True)
+class Pairs:
+    """How pairs are numbered and named: those of the scene in their order, or two bodies i < j as i * count + j.
+
+    listed: the pairs that have columns in the history, and their numbers in the contact points written.
+    """
+
+    bodies: tuple[str, ...]
+    given: tuple[str, ...] | None
+    listed: dict[int, str]
+
+    def name(self, number: int) -> str:
+        """The name of a pair."""
+        if self.given is not None:
+            return self.given[number]
+        return "-".join(self.bodies[i] for i in divmod(number, len(self.bodies)))
+
+    def of_bodies(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Numbers of pairs of bodies."""
+        return np.minimum(first, second) * len(self.bodies) + np.maximum(first, second)
+
+
 @dataclass
 class ContactPass:
-    """One pass of a pair: points of the slave surface, each against the master surface.
+    """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
 
-    `share` is the pass's share of the contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the
-    points near the master, `facet` and `xi` their partners in `visible` and where; the last evaluation is kept, with
-    `force` (d,) on this rank's slave facets and the `position` (m, d) of the points that met a facet, and `gap` (m,),
-    which the law sees: that of `projection` and the multipliers' `shift`. size (m,): size of each point's slave facet,
-    um. depth: a point further inside a body than this (um) has come from its far side and meets nothing.
+    A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by the
+    clumps of the slave's facets (f,) and of the master's which of them may meet. `share` is the pass's share of the
+    contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the points near the master, `facet` and
+    `xi` their partners in `visible` and where; the last evaluation is kept, with `force` and `position` (m, d) of the
+    points that met a facet, and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`.
+    size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
+    its far side and meets nothing.
 
     With `segments`, points are those of the slave facets' pieces, anew at every pairing; penalties and adhesion are a
     facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
@@ -58,6 +83,9 @@ class ContactPass:
     pair: int
     slave: Surface
     master: Surface
+    slave_clump: NDArray[np.int64]
+    master_clump: NDArray[np.int64]
+    rule: Rule
     points: SlavePoints
     law: InterfaceLaw
     share: float
@@ -69,6 +97,7 @@ class ContactPass:
     history: History = field(init=False)
     shift: Shift = field(init=False)
     drag: Drag = field(init=False)
+    meetings: Meetings = field(init=False)
     visible: VisibleFacets = field(init=False)
     rows: NDArray[np.int64] = field(init=False)
     facet: NDArray[np.int64] = field(init=False)
@@ -115,6 +144,8 @@ class ContactPass:
         master = Facets(position[self.master_nodes], self.visible.orientation, self.visible.key)
         kind = self.slave.kind
         pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
+        allowed = self.rule.allows(self.slave_clump[pairs[0]], self.visible.clump[pairs[1]])
+        pairs = pairs[0][allowed], pairs[1][allowed]
         before, (converged, history, _) = self.points, self._converged
         points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
         drag = self.drag[nearest_points(points.facet, points.xi, before)]
@@ -128,6 +159,18 @@ class ContactPass:
         if self.segments:
             law, size = self._of_facets
             self.law, self.size = law[points.facet], size[points.facet]
+
+    def met_clump(self) -> NDArray[np.int64]:
+        """The clump that each point of the last evaluation met, (met,)."""
+        return self.visible.clump[self.facet[self.met]]
+
+    def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Number of the pair that each point met belongs to, and whether the point is on the first of the two."""
+        if pairs.given is not None:
+            return np.full(len(self.met), self.pair), np.full(len(self.met), self.first)
+        slave = self.rule.body(self.slave_clump[self.points.facet[self.rows[self.met]]])
+        master = self.rule.body(self.met_clump())
+        return pairs.of_bodies(slave, master), slave < master
 
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
@@ -173,9 +216,11 @@ class Contact:
         coordinates: PETSc.Vec,
         passes: Sequence[ContactPass],
         planes: Sequence[PlanePass],
+        pairs: Pairs,
         potential_scale: float | None,
     ) -> None:
         self.comm = comm
+        self.pairs = pairs
         self.passes = list(passes)
         self.planes = list(planes)
         self.every: list[ContactPass | PlanePass] = [*passes, *planes]
@@ -216,8 +261,8 @@ class Contact:
         needed = []
         for p in self.passes:
             slave, master = position[p.slave.nodes], position[p.master.nodes]
-            own = VisibleFacets(_global(index_map, p.master.nodes), p.master.orientation, p.master.key)
-            p.visible = share_facets(self.comm, slave, own, master, margin)
+            own = VisibleFacets(_global(index_map, p.master.nodes), p.master.orientation, p.master.key, p.master_clump)
+            p.visible = share_facets(self.comm, slave, p.slave_clump, own, master, margin, p.rule)
             needed += [_global(index_map, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
         needed += [_global(index_map, p.slave.nodes).ravel() for p in self.planes[:1]]  # all planes meet the same
         self.nodes = np.unique(np.concatenate(needed)) if needed else np.zeros(0, np.int64)
@@ -233,7 +278,7 @@ class Contact:
                 # Facets that come nearer than this in a step are cut when it has ended.
                 p.cut(position, self.reach + 0.5 * self._facet + 4.0 * self.last_penetration)
             points = np.einsum("mk,mkd->md", p.points.shape, position[p.slave_nodes[p.points.facet]])
-            p.rows = np.flatnonzero(p.meets & near_points(points, position[p.master_nodes], margin))
+            self._meet_clumps(p, points, position[p.master_nodes], margin)
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
         for p in self.planes:
@@ -241,6 +286,16 @@ class Contact:
             p.look(position, margin)
         self.outgrown = False
         self._keep, self._turning = KEEP[0][1], True
+
+    def _meet_clumps(self, p: ContactPass, points: Array, facets: Array, margin: float) -> None:
+        """Find the points near facets that they may meet, and which clumps each of them is near."""
+        boxed = Meetings.near(points, p.slave_clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
+        near = [
+            rows[p.meets[rows] & near_points(points[rows], facets[clump], margin)]
+            for rows, clump in zip(boxed.points, boxed.facets, strict=True)
+        ]
+        p.rows = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
+        p.meetings = Meetings(boxed.clump, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near])
 
     def settle(self, iteration: int, residual: float) -> None:
         """Prepare the tangent of a Newton iteration that starts at this relative residual.
@@ -305,6 +360,13 @@ class Contact:
             nodes = p.slave_nodes[np.unique(p.points.facet[p.rows[near]])]
             sets.append(np.concatenate([nodes, nodes], axis=1))
         return self.nodes[np.concatenate(sets)]
+
+    def described(self) -> str:
+        """What may meet what, in words."""
+        planes = f" and {len(self.planes)} planes" if self.planes else ""
+        if self.pairs.listed or not self.passes:
+            return f"{len(self.pairs.listed)} contact pairs{planes}"
+        return f"contact between any of {len(self.pairs.bodies)} bodies{planes}"
 
     def move_planes(self, factors: dict[str, float]) -> None:
         """Bring the planes to a load level."""
@@ -440,9 +502,11 @@ class Contact:
         position = self._reference + self._paired_at
         deepest = 0.0
         for p in self.passes:
-            centers = position[p.slave_nodes].mean(axis=1)
-            depth = deepest_overlap(p.slave.kind, centers, position[p.master_nodes], p.visible.orientation)
-            deepest = max(deepest, depth)
+            centers, facets = position[p.slave_nodes].mean(axis=1), position[p.master_nodes]
+            for near, clump in zip(p.meetings.points, p.meetings.facets, strict=True):
+                slaves = np.unique(p.points.facet[p.rows[near]])
+                depth = deepest_overlap(p.slave.kind, centers[slaves], facets[clump], p.visible.orientation[clump])
+                deepest = max(deepest, depth)
         return self.comm.allreduce(deepest, op=MPI.MAX)
 
     def penetration(self) -> float:
@@ -512,7 +576,8 @@ class Contact:
             turning=self._turning,
         )
         nodes = np.concatenate([slave[active], master[active]], axis=1)
-        p.force = -vectors[:, : slave.shape[1], : self.dim].sum(axis=(0, 1))
+        p.force = np.zeros((len(rows), self.dim))
+        p.force[active] = -vectors[:, : slave.shape[1], : self.dim].sum(axis=1)
         pair_of_facets = p.points.facet[rows][active] * max(len(p.visible), 1) + facet[active]
         return _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
 
@@ -529,19 +594,35 @@ class Contact:
             lost[have[kind.overshoot(xi) > self._keep]] = True
         if not lost.any():
             return
-        rows = p.rows[lost]
-        facet = p.points.facet[rows]
-        normals = point_normals(kind, p.points.xi[rows], position[p.slave_nodes[facet]], p.slave.orientation[facet])
-        p.facet[lost], p.xi[lost] = closest_facets(
-            kind,
-            points[lost],
-            normals,
-            position[p.master_nodes],
-            p.visible.orientation,
-            p.visible.key,
-            2.0 * self.margin,
-            max(p.depth, 2.0 * self.last_penetration),
-        )
+        own = p.points.facet[p.rows]
+        normals = point_normals(kind, p.points.xi[p.rows], position[p.slave_nodes[own]], p.slave.orientation[own])
+        p.facet[lost] = -1
+        least = np.full(len(p.rows), np.inf)
+        # What is further off can do nothing before the surfaces have moved so far that all is searched anew.
+        reach = p.law.reach + 2.0 * DRIFT * self._facet + 0.5 * float(p.size.max(initial=0.0))
+        for near, facets in zip(p.meetings.points, p.meetings.facets, strict=True):
+            tried = near[lost[near]]
+            if not len(tried):
+                continue
+            nodes, orientation = position[p.master_nodes[facets]], p.visible.orientation[facets]
+            tried = tried[may_touch(kind, points[tried], normals[tried], nodes, orientation, reach)]
+            found, xi = closest_facets(
+                kind,
+                points[tried],
+                normals[tried],
+                nodes,
+                orientation,
+                p.visible.key[facets],
+                2.0 * self.margin,
+                max(p.depth, 2.0 * self.last_penetration),
+            )
+            met = np.flatnonzero(found >= 0)
+            tried, found, xi = tried[met], found[met], xi[met]
+            # Of several bodies a point meets the one that it is deepest in, or nearest to.
+            gap = project(kind, points[tried], nodes[found], orientation[found], xi).gap
+            nearer = gap < least[tried]
+            tried = tried[nearer]
+            least[tried], p.facet[tried], p.xi[tried] = gap[nearer], facets[found[nearer]], xi[nearer]
 
     def _scatter(self, state: PETSc.Vec) -> None:
         bs = self.components

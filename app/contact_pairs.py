@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from app import fenicsx, reductions
-from app.contact import Contact, ContactPass
+from app.contact import Contact, ContactPass, Pairs
 from app.model import Model
 from app.planes import PlanePass
 from app.scene_errors import SceneError
@@ -19,24 +19,14 @@ from forms.contact.integrals import nodal_points, quadrature_points
 from forms.contact.laws import Adhesion, InterfaceLaw
 from forms.contact.lennard_jones import LennardJones
 from forms.materials import Material
+from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule
 from meshes.surface import Surface, body_facets, multiplicity, surface
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
+LISTED_BODIES = 6  # of more bodies, the pairs have no columns in the history
 FADE = 0.1  # default gap over which the electric contact fades out, in facet sizes
-
-
-def pair_names(model: Model) -> list[tuple[str, str]]:
-    """The pairs of the scene; "auto": every two bodies that share no node."""
-    if model.scene.contact is None:
-        return []
-    given = model.scene.contact.pairs
-    if given != "auto":
-        return [(a, b) for a, b in given]
-    bodies = model.bodies
-    parts = [{p for p, members in enumerate(bodies.part_bodies) if i in members} for i in range(len(bodies.bodies))]
-    pairs = combinations(range(len(bodies.bodies)), 2)
-    return [(bodies.bodies[i], bodies.bodies[j]) for i, j in pairs if not parts[i] & parts[j]]
 
 
 def contact_of(model: Model) -> Contact | None:
@@ -44,20 +34,74 @@ def contact_of(model: Model) -> Contact | None:
     keys = model.scene.contact
     if keys is None and not model.scene.planes:
         return None
+    if keys is None:
+        passes, pairs = [], Pairs((), (), {})
+    elif keys.pairs == "auto":
+        passes, pairs = _of_bodies(model)
+    else:
+        passes, pairs = _of_scene(model)
+    planes = _planes(model, len(pairs.listed))
+    return Contact(model.comm, model.space, model.coordinate_vector(), passes, planes, pairs, model.potential_scale)
+
+
+def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:
+    """Passes of the pairs that the scene names."""
+    keys = model.scene.contact
     surfaces: dict[str, Surface] = {}
     passes = []
-    pairs = pair_names(model)
-    for number, pair in enumerate(pairs):
+    for number, pair in enumerate(keys.pairs):
         for name in pair:
             if name not in surfaces:
                 surfaces[name] = _surface(model, name, f"contact.pairs[{number}]")
         directions = [pair, pair[::-1]][: keys.passes]
         for first, (slave, master) in zip((True, False), directions, strict=False):
-            passes.append(_pass(model, number, surfaces[slave], surfaces[master], first))
-    if not passes and keys is not None:
+            clumps = [np.full(len(surfaces[name]), clump) for name, clump in ((slave, SLAVE), (master, MASTER))]
+            passes.append(_pass(model, number, surfaces[slave], surfaces[master], *clumps, ONE_TO_ONE, first))
+    names = tuple("-".join(pair) for pair in keys.pairs)
+    return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)))
+
+
+def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
+    """Passes of every two bodies that share no node: one for all bodies of a kind against all of another.
+
+    A kind is what the penalties depend on: stiffness and permittivity.
+    """
+    bodies, keys = model.bodies, model.scene.contact
+    rule = Rule(len(bodies.part_bodies), ordered=keys.passes == 1)
+    outside = fenicsx.exterior_facets(model.mesh)
+    whole = surface(model.space, "outside", outside, bodies.order)
+    kinds = [(stiffness_of(m), permittivity_of(m)) for m in model.materials]
+    surfaces, clumps = {}, {}
+    for kind in dict.fromkeys(kinds):
+        of_kind = np.array([k == kind for k in kinds])[bodies.cell_body[whole.cells]]
+        surfaces[kind] = surface(model.space, "bodies", outside[of_kind], bodies.order)
+        cells = surfaces[kind].cells
+        clumps[kind] = rule.clump(bodies.cell_body[cells], bodies.cell_part[cells])
+    clumps_of_bodies = {kind: [] for kind in surfaces}
+    for part, members in enumerate(bodies.part_bodies):
+        for body in members:
+            clumps_of_bodies[kinds[body]].append(int(rule.clump(body, part)))
+    passes = []
+    for slave, master in product(surfaces, repeat=2):
+        every = [np.array(clumps_of_bodies[kind]) for kind in (slave, master)]
+        if any(rule.allows(clump, every[1]).any() for clump in every[0]):
+            given = surfaces[slave], surfaces[master], clumps[slave], clumps[master]
+            passes.append(_pass(model, len(passes), *given, rule, True))
+    if not passes:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
-    planes = _planes(model, len(pairs))
-    return Contact(model.comm, model.space, model.coordinate_vector(), passes, planes, model.potential_scale)
+    return passes, _listed(model)
+
+
+def _listed(model: Model) -> Pairs:
+    """All pairs of bodies, if they are few."""
+    bodies = model.bodies
+    count = len(bodies.bodies)
+    listed = {}
+    if count <= LISTED_BODIES:
+        parts = [{p for p, members in enumerate(bodies.part_bodies) if i in members} for i in range(count)]
+        apart = [(i, j) for i, j in combinations(range(count), 2) if not parts[i] & parts[j]]
+        listed = {i * count + j: f"{bodies.bodies[i]}-{bodies.bodies[j]}" for i, j in apart}
+    return Pairs(bodies.bodies, None, listed)
 
 
 def _planes(model: Model, first_number: int) -> list[PlanePass]:
@@ -108,7 +152,16 @@ def _surface(model: Model, name: str, key: str) -> Surface:
     return result
 
 
-def _pass(model: Model, number: int, slave: Surface, master: Surface, first: bool) -> ContactPass:
+def _pass(
+    model: Model,
+    number: int,
+    slave: Surface,
+    master: Surface,
+    slave_clump: Integers,
+    master_clump: Integers,
+    rule: Rule,
+    first: bool,
+) -> ContactPass:
     keys = model.scene.contact
     if keys.method != "node":  # segments begin as whole facets
         points = quadrature_points(slave.kind, slave.reference)
@@ -123,7 +176,8 @@ def _pass(model: Model, number: int, slave: Surface, master: Surface, first: boo
     electric = permittivity if all(m.permittivity is not None for m in materials) else None
     law = _interface_law(keys, size, stiffness, electric, model)
     depth, share, cuts = _depth(model, slave, master), 1.0 / keys.passes, keys.method == "segment"
-    return ContactPass(number, slave, master, points, law, share, first, size, depth, cuts)
+    clumps = slave_clump, master_clump, rule
+    return ContactPass(number, slave, master, *clumps, points, law, share, first, size, depth, cuts)
 
 
 def _interface_law(

@@ -122,8 +122,8 @@ def row(
     energies = problem.energies()
     contact = {"contact": 0.0, "adhesion": 0.0, "electric": 0.0, "dissipated": 0.0}
     if problem.contact is not None:
-        for number, pair in enumerate(pairs):
-            values |= pair_values(problem.contact, number, pair, model.electric)
+        if pairs:
+            values |= _listed_pairs(problem.contact, model)
         for plane in problem.contact.planes:
             values |= plane_values(problem.contact, plane, model.electric)
         contact = problem.contact.energies()
@@ -149,6 +149,15 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
 
 
+def _listed_pairs(contact: Contact, model: Model) -> dict[str, float]:
+    names, table = pair_columns(model.dim, model.electric), pair_table(contact)
+    values = {}
+    for number, pair in contact.pairs.listed.items():
+        found = table.get(number, np.zeros(model.dim + 5))
+        values |= {f"{name}@{pair}": float(value) for name, value in zip(names, found, strict=False)}
+    return values
+
+
 def plane_values(contact: Contact, plane: PlanePass, electric: bool) -> dict[str, float]:
     """Force that a plane exerts, area, largest pressure and penetration, charge of an electrode and its potential.
 
@@ -172,30 +181,40 @@ def plane_values(contact: Contact, plane: PlanePass, electric: bool) -> dict[str
     return values
 
 
-def pair_values(contact: Contact, number: int, name: str, electric: bool) -> dict[str, float]:
-    """Force on the first of a pair, area, largest pressure, penetration and potential jump, bonded area."""
+def pair_table(contact: Contact) -> dict[int, Array]:
+    """Of each pair that is in contact, by number, what `pair_columns` names, in this order. Collective.
+
+    Force on the first of the pair (d,), area, bonded area, largest pressure, penetration and potential jump.
+    """
     d = contact.dim
-    sums, largest = np.zeros(d + 2), np.zeros(3)
+    mine: dict[int, Array] = {}
     for p in contact.passes:
-        if p.pair != number:
-            continue
-        r, gap = p.response, p.projection.gap
-        rows = p.rows[p.met]
+        r, gap, rows = p.response, p.projection.gap, p.rows[p.met]
+        number, first = p.pairs_met(contact.pairs)
         area = p.points.area[rows]
-        pressure = -r.slope * p.points.weight[rows] / area
-        sums[:d] += p.force if p.first else -p.force
-        sums[d] += p.share * area @ (p.gap <= p.law.rest)
+        closed = p.gap <= p.law[rows].rest
         # History is that of the converged step, so bonds that broke in it no longer count.
-        sums[d + 1] += p.share * p.points.area @ p.law.bonded(p.history)
-        largest[0] = max(largest[0], pressure.max(initial=0.0))
-        largest[1] = max(largest[1], -gap.min(initial=0.0))
-        if p.jump is not None:
-            together = (p.gap <= p.law.rest) | (p.law[rows].status(p.gap, p.history[rows]) == 2)
-            largest[2] = max(largest[2], np.abs(p.jump[together]).max(initial=0.0))
-    sums, largest = reductions.total(contact.comm, sums), reductions.largest(contact.comm, largest)
-    values = {f"contact_force_{axis}@{name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}
-    values |= {f"contact_area@{name}": float(sums[d]), f"bonded_area@{name}": float(sums[d + 1])}
-    values |= {f"max_pressure@{name}": float(largest[0]), f"max_penetration@{name}": float(largest[1])}
-    if electric:
-        values |= {f"max_potential_jump@{name}": float(largest[2])}
-    return values
+        bonded = p.law[rows].bonded(p.history[rows])
+        together = closed | (p.law[rows].status(p.gap, p.history[rows]) == 2)
+        jump = np.abs(p.jump) * together if p.jump is not None else np.zeros(len(gap))
+        sums = np.column_stack([np.where(first, 1.0, -1.0)[:, None] * p.force, p.share * area * closed])
+        sums = np.column_stack([sums, p.share * area * bonded])
+        largest = np.column_stack([-r.slope * p.points.weight[rows] / area, -gap, jump])
+        for pair in np.unique(number[closed | bonded | (r.slope != 0.0)]):
+            of = number == pair
+            row = mine.setdefault(int(pair), np.zeros(d + 5))
+            row[: d + 2] += sums[of].sum(axis=0)
+            row[d + 2 :] = np.maximum(row[d + 2 :], largest[of].max(axis=0))
+    table: dict[int, Array] = {}
+    for part in contact.comm.allgather(mine):
+        for pair, values in part.items():
+            row = table.setdefault(pair, np.zeros(d + 5))
+            row[: d + 2] += values[: d + 2]
+            row[d + 2 :] = np.maximum(row[d + 2 :], values[d + 2 :])
+    return dict(sorted(table.items()))
+
+
+def pair_columns(dim: int, electric: bool) -> list[str]:
+    """Names of what `pair_table` holds of each pair."""
+    names = [*(f"contact_force_{axis}" for axis in AXES[:dim]), "contact_area", "bonded_area"]
+    return [*names, "max_pressure", "max_penetration", *(["max_potential_jump"] if electric else [])]

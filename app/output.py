@@ -9,9 +9,10 @@ import ufl
 from numpy.typing import NDArray
 
 from app import fenicsx
-from app.contact import Contact
+from app.contact import Contact, ContactPass
 from app.model import Model
 from app.pieces import ContactPoints, FieldPiece, grid
+from app.planes import PlanePass
 from forms.piezo import strain_and_field
 from forms.push_forward import deformation_gradient, push_forward
 
@@ -80,13 +81,23 @@ def contact_points(contact: Contact, electric: bool) -> ContactPoints:
         pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
         status = p.law[rows].status(p.gap, p.history[rows])
-        parts = [p.position, p.projection.normal, gap, pressure, status, np.full(len(gap), p.pair), jump]
+        parts = [p.position, p.projection.normal, gap, pressure, status, _pair_numbers(contact, p), jump]
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)
     return ContactPoints(
         _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if electric else None
     )
+
+
+def _pair_numbers(contact: Contact, p: ContactPass | PlanePass) -> NDArray[np.int64]:
+    """The place of each point's pair among the listed ones, its number where none are listed; then come planes."""
+    pairs = contact.pairs
+    if isinstance(p, PlanePass):
+        beyond = len(pairs.bodies) ** 2 if pairs.given is None and not pairs.listed else len(pairs.listed)
+        return np.full(len(p.rows), beyond + contact.planes.index(p))
+    number, _ = p.pairs_met(pairs)
+    return np.searchsorted(list(pairs.listed), number) if pairs.listed else number
 
 
 def _in_space(vectors: Array) -> Array:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from app import fenicsx
 from app.contact import Contact
 from app.linear import DIRECT_LIMIT_3D, is_direct
@@ -13,7 +11,7 @@ from app.scene_errors import named
 AXES = "xyz"
 
 
-def plan_text(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, str]]) -> str:
+def plan_text(model: Model, contact: Contact | None) -> str:
     """The plan as lines of `what: choice (why)`. Collective; the same text on all ranks."""
     lines = [
         ("scene", model.scene.title),
@@ -22,7 +20,7 @@ def plan_text(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, 
         ("unknowns", _unknowns(model)),
         ("material law", _law(model)),
         ("held", _held(model)),
-        ("contact", _contact(model, contact, pairs)),
+        ("contact", _contact(model, contact)),
         ("adhesion", _adhesion(model)),
         *_planes(model),
         ("load", _load(model)),
@@ -85,7 +83,7 @@ def _held(model: Model) -> str:
     return "; ".join(notes) or "every part by its boundaries"
 
 
-def _contact(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, str]]) -> str:
+def _contact(model: Model, contact: Contact | None) -> str:
     keys = model.scene.contact
     if contact is None:
         return "none, since the scene has no [contact]"
@@ -99,8 +97,9 @@ def _contact(model: Model, contact: Contact | None, pairs: Sequence[tuple[str, s
     }[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
     both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
-    names = named(["-".join(pair) for pair in pairs])
-    return f"{len(pairs)} pairs ({names}), {where}, {passes}, {points} points, penalties for {both}"
+    listed = list(contact.pairs.listed.values())
+    what = f"{len(listed)} pairs ({named(listed)})" if listed else "any two bodies that come near each other"
+    return f"{what}, {where}, {passes}, {points} points, penalties for {both}"
 
 
 def _planes(model: Model) -> list[tuple[str, str]]:

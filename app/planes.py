@@ -52,7 +52,6 @@ class PlanePass:
     law: InterfaceLaw
     size: Array
     share: float = 1.0
-    first: bool = True
     offset: Array = field(init=False)
     potential: float | None = field(init=False)
     history: History = field(init=False)
@@ -120,7 +119,7 @@ class PlanePass:
 
     def _keys(self, facet: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
         same = np.ones(len(facet), np.int64)
-        return np.stack([self.pair * same, same, self.slave.key[facet], place], axis=1)
+        return np.stack([self.pair * same, 2 * same, self.slave.key[facet], place], axis=1)
 
     def look(self, position: Array, margin: float) -> None:
         """Find the points within `margin` (um) of the plane whose surface faces it, nodes being at `position`."""

@@ -55,7 +55,16 @@ __all__ = [
 
 Value = float | int | str
 SUMMARY_KEYS = tuple("title converged reason ranks dofs cells bodies steps timings peak_memory_mb versions".split())
-_FILES = ("scene.toml", "history.csv", "summary.json", "fields.pvd", "contact.pvd", "picture.png", "log.txt")
+_FILES = (
+    "scene.toml",
+    "history.csv",
+    "pairs.csv",
+    "summary.json",
+    "fields.pvd",
+    "contact.pvd",
+    "picture.png",
+    "log.txt",
+)
 _PIECES = {"fields": "vtu", "contact": "vtp"}
 _CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)(\.part)?")
 _INTEGERS = {"step", "stage", "newton", "krylov", "cutbacks"}
@@ -120,6 +129,8 @@ class Results:
                 self._check(row)
             for name in ("summary.json", "picture.png"):
                 (self.out / name).unlink(missing_ok=True)
+            if (self.out / "pairs.csv").exists():
+                write_text(self.out / "pairs.csv", _steps_before(self.out / "pairs.csv", last_step + 1))
             self._write_history(kept)
             for folder in _PIECES:
                 self._forget(folder, last_step)
@@ -138,6 +149,20 @@ class Results:
             return row
 
         self.rows.append(on_root(self.comm, append))
+
+    def pairs(self, step: int, columns: Sequence[str], rows: Sequence[tuple[str, Sequence[float]]]) -> None:
+        """Append the pairs of bodies in contact at the end of a step, (name, values), to pairs.csv."""
+
+        def append() -> None:
+            path = self.out / "pairs.csv"
+            text = io.StringIO()
+            table = csv.writer(text, lineterminator="\n")
+            if not path.exists():
+                table.writerow(["step", "pair", *columns])
+            table.writerows([step, name, *(float(v) for v in values[: len(columns)])] for name, values in rows)
+            write_text(path, _steps_before(path, step) + text.getvalue())
+
+        on_root(self.comm, append)
 
     def fields(self, step: int, stage_time: float, piece: FieldPiece) -> None:
         """Write each rank's fields of a step, and name them in fields.pvd at the time `stage_time`."""
@@ -232,6 +257,12 @@ class Results:
             return match is not None and (match["unfinished"] is not None or int(match["step"]) > last_step)
 
         _remove(self.out / folder, unwanted)
+
+
+def _steps_before(path: Path, step: int) -> str:
+    """The text of a table whose first column is the step, up to a step; nothing where there is no table."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+    return "".join(line for line in lines if not line[0].isdigit() or int(line.split(",", 1)[0]) < step)
 
 
 def read_history(path: Path) -> list[dict[str, Value]]:

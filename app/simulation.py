@@ -19,9 +19,9 @@ import numpy as np
 from mpi4py import MPI
 
 from app import checkpoint, fenicsx
-from app.contact_pairs import contact_of, pair_names
+from app.contact_pairs import contact_of
 from app.files import on_root
-from app.history import Balance, augments, columns, row
+from app.history import Balance, augments, columns, pair_columns, pair_table, row
 from app.linear import Direct, Multigrid
 from app.model import Model
 from app.output import FieldOutput, contact_points
@@ -87,7 +87,7 @@ def run(
         newton = Newton(problem, scene.solver)
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks)
         balance = Balance(problem)
-        pairs = ["-".join(pair) for pair in pair_names(model)] if contact is not None else []
+        pairs = list(contact.pairs.listed.values()) if contact is not None else []
         if not resume:
             _check_overlap(problem)
         session = _Session(scene, comm, out, timer, model, problem, stepper, balance, pairs)
@@ -143,7 +143,7 @@ class _Session:
         with progress:
             if self.scene.outcome is not None:
                 log.info("%s", self.scene.outcome)
-            log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear, self.pairs))
+            log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
             for step in todo:
                 if stop.asked():
                     failure = Interrupted(f"interrupted: {self._kept()}")
@@ -181,6 +181,7 @@ class _Session:
             # writes loses nothing, since it does again what the checkpoint does not know of.
             if self.scene.output.fields == "all":
                 self._write_fields()
+            self._write_pairs()
             self._save_checkpoint()
             self.results.row(self.history[-1])
 
@@ -224,6 +225,12 @@ class _Session:
         if self.scene.output.picture and self.history:
             with self.timer("output"):
                 on_root(self.comm, lambda: _picture(self.out))
+
+    def _write_pairs(self) -> None:
+        contact = self.problem.contact
+        if contact is not None and contact.passes:
+            rows = [(contact.pairs.name(number), values) for number, values in pair_table(contact).items()]
+            self.results.pairs(self.last_step, pair_columns(self.model.dim, self.model.electric), rows)
 
     def _write_fields(self) -> None:
         if self._fields is None:
@@ -310,15 +317,16 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
         model = Model(scene, bodies)
-        return plan_text(model, contact_of(model), pair_names(model) if scene.contact else [])
+        return plan_text(model, contact_of(model))
 
 
-def describe(model: Model, problem: Problem, linear: Direct | Multigrid, pairs: list[str]) -> str:
+def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
     """One line for the log: size, physics, solver."""
     physics = "displacement and potential" if model.electric else "displacement"
     how = "one linear solve a step" if problem.linear else "Newton's method"
     solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
-    return f"{model.unknowns} unknowns ({physics}), {len(pairs)} contact pairs, {how}, {solver} linear solver"
+    contact = "no contact" if problem.contact is None else problem.contact.described()
+    return f"{model.unknowns} unknowns ({physics}), {contact}, {how}, {solver} linear solver"
 
 
 class _Stop:

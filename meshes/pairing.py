@@ -1,11 +1,10 @@
-"""Pairing: which master facets a rank must see, and which of them each slave point meets."""
+"""Pairing: which of the facets of a surface each point of another one meets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -14,70 +13,14 @@ from forms.contact.gap import facet_normal, project
 
 Array = NDArray[np.float64]
 
-BOX_FACETS = 64  # facets in a box of the coarse search
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
 FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other
 SURELY_FACING = -0.5  # the same cosine in the middle of a curved facet that faces all over
+LOOKED_AT = 6  # nearest facets in a first look
+SAME_WAY = 0.5  # cosine between a point's normal and that of a facet above which they look the same way
 BULGE = 0.1  # how far a curved facet may reach out of the box of its nodes, in its length
 SEARCH_ITERATIONS = 6  # to the closest point of a curved facet: enough where the point is over the facet
 TIE = 1e-9  # facets equally near within this share of their size are told apart by their key
-
-
-@dataclass(frozen=True)
-class VisibleFacets:
-    """Master facets that a rank can see, from every rank: nodes (f, n) global, orientation (f,), key (f,)."""
-
-    nodes: NDArray[np.int64]
-    orientation: Array
-    key: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.nodes)
-
-
-def boxes(positions: Array, facets_per_box: int = BOX_FACETS) -> Array:
-    """Boxes (b, 2, d) around groups of neighbouring facets with node positions (f, n, d)."""
-    if not len(positions):
-        return np.zeros((0, 2, positions.shape[2]))
-    low, high = positions.min(axis=1), positions.max(axis=1)
-    middle = 0.5 * (low + high)
-    groups = [np.arange(len(positions))]
-    done = []
-    while groups:
-        group = groups.pop()
-        if len(group) <= facets_per_box:
-            done.append(np.stack([low[group].min(axis=0), high[group].max(axis=0)]))
-            continue
-        axis = np.ptp(middle[group], axis=0).argmax()
-        order = group[np.argsort(middle[group, axis], kind="stable")]
-        groups += [order[: len(order) // 2], order[len(order) // 2 :]]
-    return np.stack(done)
-
-
-def share_facets(
-    comm: MPI.Comm,
-    slave_positions: Array,
-    master: VisibleFacets,
-    master_positions: Array,
-    margin: float,
-) -> VisibleFacets:
-    """Master facets of all ranks that come within `margin` of this rank's slave facets. Collective.
-
-    slave_positions (f, n, d) and master_positions (f, n, d): current nodes of this rank's own facets; `master` are
-    this rank's own. Facets are sent where they are near a box of slave facets, so a rank sees little more than its
-    own neighbourhood.
-    """
-    slave_boxes = comm.allgather(boxes(slave_positions))
-    low, high = master_positions.min(axis=1) - margin, master_positions.max(axis=1) + margin
-    parcels = []
-    for theirs in slave_boxes:
-        near = np.zeros(len(master), bool)
-        for box in theirs:
-            near |= np.all((low <= box[1]) & (high >= box[0]), axis=1)
-        parcels.append((master.nodes[near], master.orientation[near], master.key[near]))
-    received = comm.alltoall(parcels)
-    nodes, orientation, key = (np.concatenate(parts) for parts in zip(*received, strict=True))
-    return VisibleFacets(nodes, orientation, key)
 
 
 def near_points(points: Array, facets: Array, margin: float) -> NDArray[np.bool_]:
@@ -109,6 +52,24 @@ def facing_pairs(
     mine, theirs = (point_normals(kind, middle.repeat(len(n), axis=0), n, sign) for n, sign in (slaves, masters))
     faces = np.einsum("md,md->m", mine[row], theirs[facet]) < FACING
     return row[faces], facet[faces]
+
+
+def may_touch(
+    kind: FacetKind, points: Array, normals: Array, facets: Array, orientation: Array, reach: float
+) -> NDArray[np.bool_]:
+    """Which points (m, d) with normals (m, d) may be within `reach` of facets (f, n, d) that face them, or behind them.
+
+    A quick look at the nearest centres of facets alone: a point that is far off and in front of them all, or whose
+    surface looks the same way as they all, does neither.
+    """
+    center = facets.mean(axis=1)
+    radius = float(np.linalg.norm(facets - center[:, None], axis=2).max())
+    distance, nearest = cKDTree(center).query(points, k=range(1, min(LOOKED_AT, len(center)) + 1))
+    middle = np.full((len(facets), kind.dim), 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
+    outward, normals = normals, point_normals(kind, middle, facets, orientation)
+    behind = (np.einsum("mkd,mkd->mk", points[:, None] - center[nearest], normals[nearest]) < 0.0).any(axis=1)
+    facing = (np.einsum("mkd,md->mk", normals[nearest], outward) < SAME_WAY).any(axis=1)
+    return ((distance[:, 0] <= reach + radius) | behind) & facing
 
 
 def closest_facets(

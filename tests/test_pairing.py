@@ -16,16 +16,13 @@ from app.model import Model
 from app.scene import Scene
 from forms.contact.facets import FacetKind, facet_kind
 from meshes.body_mesh import create
+from meshes.crowd import CLUSTER, MASTER, ONE_TO_ONE, SLAVE, Clusters, VisibleFacets, share_facets
 from meshes.pairing import (
-    BOX_FACETS,
     END_TOLERANCE,
-    VisibleFacets,
-    boxes,
     brute_force_facets,
     closest_facets,
     near_points,
     point_normals,
-    share_facets,
 )
 from tests.facets import KINDS, rotation
 
@@ -248,6 +245,11 @@ def test_no_points_and_no_facets() -> None:
         assert boxes(none).shape == (0, 2, d)
 
 
+def boxes(facets: Array, size: int = CLUSTER) -> Array:
+    """Boxes (b, 2, d) around clusters of facets of one body."""
+    return Clusters.of(facets.min(axis=1), facets.max(axis=1), np.zeros(len(facets), np.int64), size).boxes
+
+
 # --- What is near ---------------------------------------------------------------------------------
 
 
@@ -280,7 +282,7 @@ def test_boxes_hold_all_facets(name: str, rng: np.random.Generator) -> None:
         (fiber.facets[:, None] >= found[:, 0, None]) & (fiber.facets[:, None] <= found[:, 1, None]), axis=(2, 3)
     )
     assert held.any(axis=1).all()
-    assert len(found) >= len(fiber.facets) / BOX_FACETS
+    assert len(found) >= len(fiber.facets) / CLUSTER
     assert len(boxes(fiber.facets, len(fiber.facets))) == 1
     assert len(boxes(fiber.facets, 1)) == len(fiber.facets)
 
@@ -303,9 +305,9 @@ def test_every_rank_sees_the_facets_near_its_own(
     master_rank = rng.integers(0, parts, len(master.facets))
     mine, theirs = slaves[slave_rank == comm.rank], master_rank == comm.rank
     numbers = np.arange(len(master.facets))[:, None] * 100 + np.arange(len(kind.nodes))
-    own = VisibleFacets(numbers[theirs], master.orientation[theirs], master.key[theirs])
+    own = VisibleFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], np.full(theirs.sum(), MASTER))
     for margin in (0.05, 0.3):
-        visible = share_facets(comm, mine, own, master.facets[theirs], margin)
+        visible = share_facets(comm, mine, np.full(len(mine), SLAVE), own, master.facets[theirs], margin, ONE_TO_ONE)
         seen = visible.nodes[:, 0] // 100
         assert len(np.unique(seen)) == len(seen) == len(visible)
         np.testing.assert_array_equal(visible.nodes, numbers[seen])
@@ -336,8 +338,8 @@ def test_pairing_does_not_depend_on_the_ranks(name: str, comm: MPI.Comm, rng: np
     mine = np.flatnonzero(rng.integers(0, comm.size, len(points)) == comm.rank)
     theirs = rng.integers(0, comm.size, len(master.facets)) == comm.rank
     numbers = np.arange(len(master.facets))[:, None] + np.zeros(len(kind.nodes), int)
-    own = VisibleFacets(numbers[theirs], master.orientation[theirs], master.key[theirs])
-    visible = share_facets(comm, facets[mine], own, master.facets[theirs], 0.05)
+    own = VisibleFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], np.full(theirs.sum(), MASTER))
+    visible = share_facets(comm, facets[mine], np.full(len(mine), SLAVE), own, master.facets[theirs], 0.05, ONE_TO_ONE)
     positions = master.facets[visible.nodes[:, 0]]
     found, _ = closest_facets(kind, points[mine], normals[mine], positions, visible.orientation, visible.key, 0.05)
     partner = np.where(found >= 0, visible.nodes[found, 0] if len(visible) else -1, -1)
