@@ -1,0 +1,352 @@
+"""The maps of scripts/stability: for each cell a scene, and the error of its answer against a reference.
+
+References are closed forms (tests/references.py) and conservation laws, never a finer run of our own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import dolfinx
+import numpy as np
+import ufl
+from mpi4py import MPI
+
+from app import fenicsx
+from app.scene import Scene
+from app.simulation import Run
+from tests import references as ref
+from tests.scenes import Points
+
+RADIUS, YOUNG, POISSON = 0.5, 2500.0, 0.3
+MODULUS = ref.contact_modulus((YOUNG, POISSON), (YOUNG, POISSON))
+RELATIVE = ref.relative_radius(RADIUS, RADIUS)
+STIFFNESS = float(ref.PVDF.stiffness[2, 2])  # of contact.normal_penalty_factor's definition, nearly
+QUIET = {"fields": "none", "picture": False}
+
+
+@dataclass(frozen=True)
+class Method:
+    """A column: contact keys, order and kinematics; `plus` flips the sign of the electric term, as printed."""
+
+    name: str
+    contact: dict[str, Any]
+    order: int = 1
+    kinematics: str = "small"
+    plus: bool = False
+
+    def scene(self, **sections: Any) -> Scene:
+        """A scene with this method; `contact` and `mesh` are added to its own."""
+        contact, mesh = {**self.contact, **sections.pop("contact", {})}, sections.pop("mesh", {})
+        if contact.get("nodal_weight") == "unit" and "normal_penalty_factor" in contact:
+            # A spring a node has no area: times stiffness alone it is as stiff as the others' are on a facet.
+            contact["normal_penalty"] = contact.pop("normal_penalty_factor") * STIFFNESS
+        return Scene(
+            **{
+                "mesh": {"order": self.order, **mesh},
+                "model": {"kinematics": self.kinematics},
+                "contact": contact,
+                "output": QUIET,
+                "solver": {"max_cutbacks": 4},
+                **sections,
+            }
+        )
+
+
+PAPER = Method("paper", {"method": "node", "passes": 1, "nodal_weight": "unit"}, plus=True)
+METHODS = [
+    PAPER,
+    Method("node", {"method": "node", "passes": 1}),
+    Method("point", {"method": "point"}),
+    Method("segment", {"method": "segment"}),
+    Method("point, order 2", {"method": "point"}, order=2),
+    Method("segment, order 2", {"method": "segment"}, order=2),
+    Method("point, finite", {"method": "point"}, kinematics="finite"),
+    Method("segment, finite", {"method": "segment"}, kinematics="finite"),
+]
+
+
+@dataclass(frozen=True)
+class Map:
+    """A map: its axes, the tolerance of the error, and what a cell runs and measures.
+
+    scene(method, x, y); error(run, x, y): relative error of the answer against `reference`.
+    """
+
+    name: str
+    title: str
+    reference: str
+    x: tuple[str, list[float]]
+    y: tuple[str, list[float]]
+    tolerance: float
+    scene: Callable[[Method, Any, Any], Scene]
+    error: Callable[[Run, Any, Any], float]
+    methods: tuple[str, ...] = tuple(method.name for method in METHODS)
+
+
+# --- Fibers pressed together: Hertz ---------------------------------------------------------------
+
+
+def fibers(method: Method, approach: float, facet: float, steps: int, **contact: Any) -> Scene:
+    """Two half discs of pvdf, pressed by an approach (um) of their flat faces; facets of order 2 twice as large."""
+    facet *= method.order
+    return method.scene(
+        geometry={"shape": "facing_halves", "radius": RADIUS},
+        mesh={"size": max(0.12, facet), "contact_size": facet, "size_factors": {"upper": 0.9}},
+        bodies={"lower": "pvdf", "upper": "pvdf"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {"on": "top", "displacement": [0, -approach], "follows": "press"},
+        ],
+        contact=contact,
+        load={"steps": [steps], "factors": {"press": [1.0]}},
+    )
+
+
+def hertz_error(run: Run, approach: float) -> float:
+    """The larger of the errors of the half-width, from the load there is, and of the load, from the approach."""
+    load = -run.history[-1]["force_y@top"]
+    if load <= 0.0:
+        return math.inf
+    hertz = ref.hertz_line(load, RELATIVE, MODULUS)
+    width = 2.0 * math.sqrt(Points(run).spread([0])) / hertz.size - 1.0
+    # Of the clamped half discs: half spaces to the depth of their flat faces (Johnson, section 5.6).
+    depth = 2.0 * math.log(2.0 * RADIUS / hertz.size) - POISSON / (1.0 - POISSON)
+    expected = 2.0 * load * (1.0 - POISSON**2) / (math.pi * YOUNG) * depth
+    return max(abs(width), abs(expected / approach - 1.0))
+
+
+PENALTY = Map(
+    "penalty",
+    "Two fibers pressed together: penalty against load step",
+    "Hertz: half-width from the load, load from the approach",
+    ("penalty, times stiffness / facet", [1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6]),
+    ("load steps", [1, 4]),
+    0.10,
+    lambda m, x, y: fibers(m, 0.02, 0.012, y, normal_penalty_factor=x),
+    lambda run, x, y: hertz_error(run, 0.02),
+)
+FACETS = Map(
+    "facets",
+    "Two fibers pressed together: facets a circle",
+    "Hertz: half-width from the load, load from the approach",
+    ("facets a circle", [24, 48, 96, 192, 384, 768]),
+    ("approach / radius", [0.01, 0.04]),
+    0.10,
+    lambda m, x, y: fibers(m, y * RADIUS, 2.0 * math.pi * RADIUS / x, 2),
+    lambda run, x, y: hertz_error(run, y * RADIUS),
+)
+
+
+# --- Blocks: the patch test -----------------------------------------------------------------------
+
+SHORTENING = 5e-4
+
+
+def patch(method: Method, ratio: float, factor: float) -> Scene:
+    """Two blocks with `ratio` times as many facets above as below, the coarser side with three."""
+    fine = round(3 * max(ratio, 1.0 / ratio))
+    below, above = (3, fine) if ratio >= 1.0 else (fine, 3)
+    return method.scene(
+        geometry={"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[below, 3], [above, 3]]},
+        mesh={"cells": "tensor"},
+        materials={"soft": {"young": YOUNG, "poisson": 0.0}},
+        bodies={"lower": "soft", "upper": "soft"},
+        boundaries=[
+            {"on": "bottom", "displacement": ["free", 0]},
+            {"on": "top", "displacement": ["free", -SHORTENING]},
+            {"on": "left", "displacement": [0, "free"]},
+        ],
+        contact={"pairs": [["lower_contact", "upper_contact"]], "normal_penalty_factor": factor},
+    )
+
+
+def patch_error(run: Run) -> float:
+    """Root mean square of the error of the normal stress in the blocks, over the stress of blocks that are one."""
+    u = run.state
+    strain = u[1].dx(1) + SHORTENING
+    mean = dolfinx.fem.form(strain**2 * ufl.dx)
+    return math.sqrt(fenicsx.integral(mean)) / SHORTENING
+
+
+RATIO = Map(
+    "ratio",
+    "Patch test: slave / master mesh ratio against penalty",
+    "uniform stress of a block without an interface",
+    ("facets above / below", [1 / 8, 1 / 4, 1 / 2, 2 / 3, 1, 3 / 2, 2, 4, 8]),
+    ("penalty, times stiffness / facet", [1.0, 1e1, 1e2, 1e3, 1e4]),
+    0.05,
+    patch,
+    lambda run, x, y: patch_error(run),
+)
+
+
+# --- Adhesion: the pull-off of Baney and Hui -------------------------------------------------------
+
+LENGTH = 0.04 * RADIUS  # unit of lengths of the theory
+WORK = math.pi * MODULUS * (0.5 * LENGTH) ** 3 / RELATIVE**2
+FORCE = (math.pi * MODULUS * WORK**2 * RELATIVE) ** (1.0 / 3.0)
+ZONES = {0.5: 1.8, 1.0: 1.0, 2.0: 0.4}  # width of the process zone at pull-off over LENGTH, by strength
+
+
+def adhesive(method: Method, facets: float, strength: float) -> Scene:
+    """Two fibers pressed and pulled apart, the process zone being so many facets wide."""
+    width = 2.4 * LENGTH
+    load = math.pi * MODULUS * width**2 / (4.0 * RELATIVE)
+    depth = 2.0 * math.log(2.0 * RADIUS / width) - POISSON / (1.0 - POISSON)
+    approach = 2.0 * load * (1.0 - POISSON**2) / (math.pi * YOUNG) * depth
+    facet = method.order * ZONES[strength] * LENGTH / facets
+    return method.scene(
+        geometry={"shape": "facing_halves", "radius": RADIUS},
+        mesh={"size": max(0.12, facet), "contact_size": facet},
+        materials={"fiber": {"young": YOUNG, "poisson": POISSON}},
+        bodies={"lower": "fiber", "upper": "fiber"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, -approach], "follows": "press"},
+        ],
+        contact={
+            "normal_penalty_factor": 20.0,
+            "adhesion": {
+                "law": "cutoff",
+                "strength": ref.maugis_strength(strength, WORK, RELATIVE, MODULUS),
+                "energy": WORK,
+            },
+        },
+        load={"steps": [3, 24], "factors": {"press": [1.0, -0.4]}},
+    )
+
+
+ADHESION = Map(
+    "adhesion",
+    "Two fibers pulled apart: facets in the process zone against strength",
+    "pull-off of Baney and Hui (1997)",
+    ("facets in the process zone", [0.3, 0.6, 1.0, 2.0, 5.0]),
+    ("strength (Maugis' lambda)", [1.0, 2.0]),
+    0.05,
+    adhesive,
+    lambda run, x, y: abs(max(row["force_y@top"] for row in run.history) / FORCE / ref.maugis_pull_off(y) - 1.0),
+    ("paper", "node", "point", "segment"),  # half a minute a cell
+)
+
+
+# --- Coupling: two layers ------------------------------------------------------------------------
+
+
+def layers(method: Method, coupling: float, factor: float) -> Scene:
+    """Two layers of pvdf with `coupling` times its piezoelectric constants, pressed, 1 V across them."""
+    e = {"e31": 0.0307692, "e32": -0.0057692, "e33": -0.075}
+    contact: dict[str, Any] = {"pairs": [["lower_contact", "upper_contact"]], "normal_penalty_factor": 1e3}
+    contact["electric_penalty"] = factor * ref.PVDF.permittivity
+    return method.scene(
+        geometry={"shape": "stacked_blocks", "height": [1.0, 1.0], "divisions": [[2, 2], [2, 2]]},
+        mesh={"cells": "tensor"},
+        materials={"layer": {"like": "pvdf", "piezo": {k: coupling * v for k, v in e.items()}, "poling": [0, 1]}},
+        bodies={"lower": "layer", "upper": "layer"},
+        boundaries=[
+            {"on": "bottom", "displacement": ["free", 0], "potential": 0},
+            {"on": "top", "displacement": ["free", -1e-3], "potential": 1},
+            *({"on": side, "displacement": [0, "free"]} for side in ("left", "right")),
+        ],
+        contact=contact,
+    )
+
+
+def layers_error(run: Run, coupling: float) -> float:
+    """The larger of the errors of the force and of the charge, over what bonded layers have."""
+    p = ref.PVDF
+    layer = ref.Layer(1.0, float(p.stiffness[2, 2]), coupling * p.e33, p.permittivity)
+    bonded = ref.layer_stack([layer, layer], -1e-3, 1.0)
+    last = run.history[-1]
+    force = abs(last["force_y@top"] / bonded.stress - 1.0)
+    return max(force, abs(last["charge@top"] / -bonded.displacement - 1.0))
+
+
+COUPLING = Map(
+    "coupling",
+    "Two layers pressed under 1 V: coupling against electric penalty",
+    "closed form of bonded layers",
+    ("piezoelectric constants, times PVDF's", [1, 2, 5, 10, 30]),
+    ("electric penalty, times permittivity / thickness", [0.1, 0.5, 1.0, 1e1, 1e2, 1e3, 1e4]),
+    0.05,
+    layers,
+    lambda run, x, y: layers_error(run, x),
+)
+
+
+# --- Sliding, and bodies that only contact holds ----------------------------------------------------
+
+
+def sliding(method: Method, way: float, facet: float) -> Scene:
+    """A fiber pressed on a block by 0.01 um, then slid along it by `way` facets in steps of a third of a facet."""
+    facet *= method.order
+    return method.scene(
+        geometry={"shape": "fiber_on_block", "radius": RADIUS},
+        mesh={"size": 0.15, "contact_size": facet, "size_factors": {"fiber": 0.9}},
+        bodies={"block": "pvdf", "fiber": "pvdf"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {"on": "top", "displacement": ["free", -0.01], "follows": "press"},
+            {"on": "top", "displacement": [way * facet, "free"], "follows": "slide"},
+        ],
+        load={"steps": [1, round(3 * way)], "factors": {"press": [1.0, 1.0], "slide": [0.0, 1.0]}},
+    )
+
+
+def sliding_error(run: Run) -> float:
+    """Largest tangential force and largest change of the normal one, over the normal one before the slide."""
+    normal = np.array([row["force_y@top"] for row in run.history])
+    tangential = np.array([row["force_x@top"] for row in run.history])
+    return float(max(np.abs(tangential).max(), np.abs(normal - normal[0]).max()) / abs(normal[0]))
+
+
+SLIDE = Map(
+    "slide",
+    "A fiber slid along a block: distance against facet size",
+    "no change of the normal force, no friction",
+    ("distance, facets", [1, 2, 4, 8]),
+    ("facet, um", [0.02, 0.01]),
+    0.05,
+    sliding,
+    lambda run, x, y: sliding_error(run),
+)
+
+
+def pile(method: Method, count: int, gap: float) -> Scene:
+    """So many fibers on each other, pressed by 1 uN/um through the uppermost's flat: contact alone holds those between."""
+    return method.scene(
+        geometry={"shape": "parallel_fibers", "count": count, "gap": gap},
+        mesh={"size": 0.15, "contact_size": 0.03 * method.order},
+        bodies={f"fiber_{i + 1}": "elastic" for i in range(count)},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, "free"], "traction": [0, -1.0]},
+        ],
+        load={"steps": [2], "factors": {}},
+    )
+
+
+def pile_error(run: Run, count: int) -> float:
+    """Largest error of a contact's force over the force of the lowest boundary, and of that over the load."""
+    last = run.history[-1]
+    below = last["force_y@bottom"]
+    forces = [-last[f"contact_force_y@fiber_{i + 1}-fiber_{i + 2}"] for i in range(count - 1)]
+    return max(abs(force / below - 1.0) for force in forces) if below > 0.0 else math.inf
+
+
+PILE = Map(
+    "pile",
+    "Fibers that nothing but contact holds: how many, and how far apart at first",
+    "the same force in every contact as at the bottom",
+    ("fibers", [2, 3, 4, 5]),
+    ("gap, um", [0.0, 0.002, 0.01]),
+    0.01,
+    pile,
+    lambda run, x, y: pile_error(run, x),
+)
+
+MAPS = {m.name: m for m in (PENALTY, RATIO, COUPLING, FACETS, SLIDE, PILE, ADHESION)}
+COMM = MPI.COMM_SELF
