@@ -17,6 +17,7 @@ import math
 import multiprocessing
 import time
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -168,24 +169,19 @@ def draw(study: Map, rows: list[dict[str, str]], path: Path) -> None:
 
 
 def short(value: float) -> str:
-    """A tick's label: a whole number, a ratio below one, or a power of ten."""
-    if value < 1 and abs(1 / value - round(1 / value, 1)) < 1e-9 and value > 0.1:
-        return f"1/{1 / value:g}"
-    return (
-        f"{value:g}" if 1e-3 <= value < 1e3 or value == 0 else f"{value:.0e}".replace("e+0", "e").replace("e-0", "e-")
-    )
+    """A tick's label: a number, a fraction of small numbers, or a power of ten."""
+    fraction = Fraction(value).limit_denominator(8)
+    if fraction.denominator > 1 and fraction.numerator < 4 and abs(fraction - value) < 1e-9 and value != 0.5:
+        return str(fraction)
+    if value == 0.0 or 1e-3 <= value < 1e3:
+        return f"{value:g}"
+    return f"{value:.0e}".replace("e+0", "e").replace("e-0", "e-")
 
 
 def percent(error: str) -> str:
     """An error in per cent, two digits at most."""
     value = 100.0 * float(error)
-    return (
-        "∞"
-        if value > 999
-        else f"{value:.0f}"
-        if value >= 9.5
-        else f"{value:.1f}".removeprefix("0").rstrip("0").rstrip(".") or "0"
-    )
+    return "∞" if value > 999 else f"{value:.0f}" if value >= 9.5 else f"{value:.1g}" if value >= 0.05 else "0"
 
 
 def main() -> None:
