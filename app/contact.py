@@ -305,6 +305,11 @@ class Contact:
         self._keep = max(share for start, share in KEEP if iteration >= start)
         self._turning = residual < TURNING
 
+    def release(self) -> bool:
+        """Let points keep their facets no longer than at the start of a solve; whether they had been let."""
+        longer, self._keep = self._keep > KEEP[0][1], KEEP[0][1]
+        return longer
+
     def evaluate(self, state: PETSc.Vec, *, tangent: bool) -> ContactTerms:
         """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer."""
         values = self._gather(state)

@@ -29,6 +29,7 @@ CARRIED = 1e-4  # share of the loads that the springs of a floating part may car
 SPRINGS = tuple(10.0**power for power in range(7, -1, -1))  # factors by which those springs are stronger at first
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
+RECHECKS = 3  # how often one solve goes on because points had kept facets that they have left
 CUTS = 4  # how often one solve may cut segments anew where it has ended
 
 
@@ -120,7 +121,7 @@ class Newton:
         if problem.linear:
             self._refine(report)
             return
-        cuts = CUTS
+        cuts, rechecks = CUTS, RECHECKS
         for _ in range(REPAIRINGS):
             self._repair = False
             self.snes.setJacobian(self._tangent, *self._operators)
@@ -133,11 +134,16 @@ class Newton:
                 penetration = problem.contact.penetration() if problem.contact else 0.0
                 if penetration > 0.5 * margin:
                     margin = 4.0 * penetration
+                elif rechecks and self._overstayed():
+                    rechecks -= 1
+                    continue
                 elif cuts and problem.contact is not None and problem.contact.stale:
                     cuts -= 1
-                else:
+                elif rechecks:
                     self._polish(report)
                     return
+                else:
+                    raise SolveError("a point flips between two facets: it is in equilibrium on neither")
             else:
                 margin = 2.0 * margin
             if problem.motion() > FLOWN * problem.model.part_size.max():
@@ -150,6 +156,14 @@ class Newton:
         if self.linear.close_tolerance is not None and self.problem.floats:
             self._predict(report, closely=True)
             self.problem.residual(self.problem.state, self._residual)
+
+    def _overstayed(self) -> bool:
+        """Whether points had kept facets that they have left, and without them there is no equilibrium here."""
+        problem = self.problem
+        if problem.contact is None or not problem.contact.release():
+            return False
+        problem.residual(problem.state, self._residual)
+        return self._relative(self._residual) > self.keys.tolerance
 
     def _predict(self, report: NewtonReport, *, closely: bool = False) -> None:
         """The start value: one linear step from the converged state that takes up the change of what is fixed.

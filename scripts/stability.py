@@ -104,15 +104,19 @@ def sweep(study: Map, out: Path, pool: Any) -> None:
     path = out / f"{study.name}.csv"
     done = {(row["method"], row["x"], row["y"]) for row in read(path)}
     todo = list(cells(study, done))
-    new = not path.exists()
+    new = not path.exists() or path.stat().st_size == 0
     with path.open("a", newline="") as file:
         table = csv.DictWriter(file, COLUMNS)
         if new:
             table.writeheader()
+            file.flush()
         for number, row in enumerate(pool.imap_unordered(run_cell, todo), 1):
             table.writerow(row)
             file.flush()
-            print(f"{study.name} {number}/{len(todo)}  {row['method']}  {row['x']:g} {row['y']:g}  {row['outcome']}")
+            print(
+                f"{study.name} {number}/{len(todo)}  {row['method']}  {row['x']:g} {row['y']:g}  {row['outcome']}",
+                flush=True,
+            )
 
 
 def letter(reason: str) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from mpi4py import MPI
 
+from app import contact
 from app.scene import Scene, SceneError
 from app.simulation import NotConverged, run
 
@@ -145,12 +147,53 @@ def facing_halves(penalty: float, steps: int = 5, **contact: Any) -> Scene:
     )
 
 
-@pytest.mark.parametrize(("penalty", "force"), [(1e4, -32.351), (1e5, -45.263), (1e6, -47.174), (1e8, -47.390)])
-def test_no_penalty_is_too_stiff_or_too_soft(penalty: float, force: float) -> None:
+@pytest.mark.parametrize(
+    ("penalty", "force", "iterations"), [(1e4, -32.351, 7), (1e5, -45.263, 8), (1e6, -47.174, 8), (1e8, -47.390, 13)]
+)
+def test_no_penalty_is_too_stiff_or_too_soft(penalty: float, force: float, iterations: int) -> None:
     """Tractions far from equilibrium turned with their facets: the tangent was indefinite, and steps were cut."""
     history = run(facing_halves(penalty), MPI.COMM_SELF).history
     assert all(row["cutbacks"] == 0 for row in history)
-    assert sum(row["newton"] for row in history) <= 8 * len(history) + (20 if penalty > 1e7 else 0)
+    assert sum(row["newton"] for row in history) <= iterations * len(history)
     assert history[-1]["force_y@top"] == pytest.approx(force, rel=1e-4)
     one = run(facing_halves(penalty, steps=1), MPI.COMM_SELF).history[-1]
-    assert one["force_y@top"] == pytest.approx(force, rel=1e-4) and one["cutbacks"] == 0
+    assert one["force_y@top"] == pytest.approx(force, rel=1e-4)
+
+
+def test_the_voltage_does_not_scatter_with_the_mesh() -> None:
+    """Where the electric contact ends abruptly it does, by 0.5 %; a charge that fades out leaves 0.1 %."""
+    scatter = []
+    for electric_range in (1e-8, None):
+        voltages = []
+        for size in (0.0194, 0.0197, 0.02, 0.0203, 0.0206):
+            scene = facing_halves(1e5, steps=1, electric_range=electric_range)
+            mesh = scene.mesh.model_copy(update={"size": 0.1, "contact_size": size})
+            voltages.append(
+                run(scene.model_copy(update={"mesh": mesh}), MPI.COMM_SELF).history[-1]["mean_potential@top"]
+            )
+        scatter.append(np.std(voltages) / np.mean(voltages))
+    assert scatter[1] < 1e-3 and scatter[1] < 0.5 * scatter[0]
+
+
+def test_a_point_that_has_left_its_facet_is_looked_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Late in a solve points keep facets that they have left, and the end of the solve was taken for equilibrium."""
+    pair, settle = contact.Contact.pair, contact.Contact.settle
+
+    def lenient(method: Any) -> Any:
+        def changed(self: contact.Contact, *given: Any) -> None:
+            method(self, *given)
+            self._keep = 5.0
+
+        return changed
+
+    monkeypatch.setattr(contact.Contact, "pair", lenient(pair))
+    monkeypatch.setattr(contact.Contact, "settle", lenient(settle))
+    boundaries = [
+        {"on": "bottom", "displacement": [0, 0], "potential": 0},
+        {"on": "top", "displacement": [0.03, -0.02]},
+    ]
+    scene = facing_halves(1e5)
+    scene = Scene(**{**scene.model_dump(exclude_unset=True), "boundaries": boundaries, "load": {}})
+    for p in run(scene, MPI.COMM_SELF).problem.contact.passes:
+        pressed = p.projection.gap < 0.0
+        assert p.slave.kind.overshoot(p.xi[p.met][pressed]).max() <= 0.021
