@@ -58,7 +58,7 @@ class Section:
             cells.append(boxes.reshape(-1, order + 1, order + 1))
         points, found = x[first], np.concatenate(cells)
         a, b, c = (points[found[:, i, j]] for i, j in ((0, 0), (-1, 0), (0, -1)))
-        turned = np.cross(b - a, c - a) < 0.0
+        turned = _area(b - a, c - a) < 0.0
         found[turned] = np.swapaxes(found[turned], 1, 2)
         return cls(points, found, np.concatenate(rim), order)
 
@@ -145,6 +145,11 @@ def _bricks(section: Section) -> tuple[tuple[Integers, Integers], tuple[Integers
     return (section.cells[:, i, j], k), (section.rim[:, u], v), section.cells[:, u, v]
 
 
+def _area(a: Array, b: Array) -> Array:
+    """Area that two vectors of the plane span, positive to the left. (NumPy 2 crosses vectors of space alone.)"""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
 def _tetrahedra(section: Section) -> tuple[tuple[Integers, Integers], tuple[Integers, Integers], Integers]:
     """The same for tetrahedra: every quadrilateral is two triangles, every prism over them three tetrahedra."""
     order, cells = section.order, section.cells
@@ -155,7 +160,7 @@ def _tetrahedra(section: Section) -> tuple[tuple[Integers, Integers], tuple[Inte
     rank = np.argsort(number, axis=1)
     places = np.take_along_axis(places, rank[..., None], axis=1)
     a, b, c = (section.points[np.take_along_axis(number, rank, axis=1)[:, i]] for i in range(3))
-    left = np.cross(b - a, c - a) > 0.0
+    left = _area(b - a, c - a) > 0.0
 
     weights = _local("tetrahedron", order)
     points, levels = [], []
