@@ -151,6 +151,11 @@ class Problem:
         change.array[self.model.fixed] = self.targets - self.state.array_r[self.model.fixed]
         return change
 
+    def prescribed_motion(self) -> float:
+        """How far this load level moves a node whose displacement is fixed, um: the largest component."""
+        change = np.abs(self.displacements(self.fixed_change()))
+        return self.maximum(float(change.max(initial=0.0)))
+
     def refresh(self) -> None:
         """Bring the model's function up to date with the state, ghosts included."""
         self._set_state(self.state)

@@ -28,6 +28,7 @@ REFINEMENTS = 5  # of a linear solve
 CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
 SPRINGS = tuple(10.0**power for power in range(7, -1, -1))  # factors by which those springs are stronger at first
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
+THROUGH = 0.5  # share of the least thickness by which a floating part may move beyond what is prescribed in a step
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
 RECHECKS = 3  # how often one solve goes on because points had kept facets that they have left
 CUTS = 4  # how often one solve may cut segments anew where it has ended
@@ -95,8 +96,11 @@ class Newton:
         """
         report = self._report = NewtonReport()
         problem = self.problem
+        prescribed = problem.prescribed_motion()
         try:
             self._solve(margin, report)
+            if self._flew(prescribed):
+                raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
             if problem.carried_by_grounding() <= CARRIED:
                 return report
         except SolveError:
@@ -110,9 +114,14 @@ class Newton:
                 self._solve(margin, report)
         finally:
             problem.set_grounding(1.0)
-        if problem.carried_by_grounding() > CARRIED:
+        if problem.carried_by_grounding() > CARRIED or self._flew(prescribed):
             raise SolveError("nothing holds a body against the load on it: no boundary, and no contact")
         return report
+
+    def _flew(self, prescribed: float) -> bool:
+        """Whether a part may have flown through another: its springs are too weak to hold it or to tell."""
+        problem = self.problem
+        return problem.floats and problem.motion() > prescribed + THROUGH * problem.model.part_thickness.min()
 
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem

@@ -6,8 +6,6 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from app.problem import Problem
 from app.scene_sections import Load
 from app.solver import Newton, NewtonReport, SolveError
@@ -193,7 +191,4 @@ class Stepper:
         problem = self.problem
         if problem.contact is None:
             return 0.0
-        change = problem.fixed_change()
-        prescribed = float(np.abs(problem.displacements(change)).max(initial=0.0))
-        prescribed = max(problem.maximum(prescribed), problem.contact.planes_move_by())
-        return problem.contact.least_margin() + 4.0 * max(prescribed, self.last_motion)
+        return problem.contact.least_margin() + 4.0 * max(problem.prescribed_motion(), self.last_motion)

@@ -126,7 +126,7 @@ PENALTY = Map(
     "Hertz: half-width from the load, load from the approach",
     ("penalty, times stiffness / facet", [1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6]),
     ("load steps", [1, 4]),
-    0.10,
+    0.12,
     lambda m, x, y: fibers(m, 0.02, 0.012, y, normal_penalty_factor=x),
     lambda run, x, y: hertz_error(run, 0.02),
 )
@@ -136,7 +136,7 @@ FACETS = Map(
     "Hertz: half-width from the load, load from the approach",
     ("facets a circle", [24, 48, 96, 192, 384, 768]),
     ("approach / radius", [0.01, 0.04]),
-    0.10,
+    0.12,
     lambda m, x, y: fibers(m, y * RADIUS, 2.0 * math.pi * RADIUS / x, 2),
     lambda run, x, y: hertz_error(run, y * RADIUS),
 )

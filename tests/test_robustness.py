@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from app import contact
+from app import contact, solver
 from app.scene import Scene, SceneError
 from app.simulation import NotConverged, run
 
@@ -197,3 +197,28 @@ def test_a_point_that_has_left_its_facet_is_looked_up_again(monkeypatch: pytest.
     for p in run(scene, MPI.COMM_SELF).problem.contact.passes:
         pressed = p.projection.gap < 0.0
         assert p.slave.kind.overshoot(p.xi[p.met][pressed]).max() <= 0.021
+
+
+def test_no_body_stays_where_a_wild_step_threw_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block that Newton's method threw sideways stayed there: weak springs let it, and the forces balanced."""
+    monkeypatch.setattr(solver.Newton, "_predict", thrown(solver.Newton._predict))
+    scene = blocks(
+        geometry={"shape": "stacked_blocks", "height": [0.5, 0.3], "divisions": [[3, 3], [4, 2]]},
+        solver={"max_cutbacks": 0},
+    )
+    finished = run(scene, MPI.COMM_SELF)
+    assert finished.history[-1]["contact_force_y@lower-upper"] == pytest.approx(-1.0, rel=1e-5)
+    assert np.abs(finished.problem.displacements(finished.problem.state)).max() < 0.01
+
+
+def thrown(predict: Any) -> Any:
+    """A start value that throws the upper block sideways, the first time."""
+    times = iter([0.45])
+
+    def changed(newton: solver.Newton, *given: Any, **more: Any) -> None:
+        predict(newton, *given, **more)
+        state = newton.problem.state
+        upper = newton.problem.model.coordinates[: newton.problem.model.owned, 1] > 0.0
+        state.array.reshape(-1, 2)[upper, 0] += next(times, 0.0)
+
+    return changed
