@@ -603,8 +603,9 @@ class Contact:
         normals = point_normals(kind, p.points.xi[p.rows], position[p.slave_nodes[own]], p.slave.orientation[own])
         p.facet[lost] = -1
         least = np.full(len(p.rows), np.inf)
-        # What is further off can do nothing before the surfaces have moved so far that all is searched anew.
-        reach = p.law.reach + 2.0 * DRIFT * self._facet + 0.5 * float(p.size.max(initial=0.0))
+        # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
+        # ask for what may soon touch.
+        reach = max(p.law.reach + 2.0 * DRIFT * self._facet, 0.5 * self.least_margin())
         for near, facets in zip(p.meetings.points, p.meetings.facets, strict=True):
             tried = near[lost[near]]
             if not len(tried):
