@@ -34,8 +34,8 @@ DRIFT = 0.05
 # A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
 # the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
 KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
-# Segments are cut anew once a surface has moved by this share of a facet since: a kink that is missed by so much
-# costs the square of it.
+# Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
+# the square of it.
 CUT_DRIFT = 1e-3
 # Relative residual below which the tangent knows that tractions turn with their facets. Far from equilibrium tractions
 # are wrong by much more than they are worth, and those terms, of either sign, make the tangent indefinite.
@@ -151,7 +151,18 @@ class ContactPass:
         drag = self.drag[nearest_points(points.facet, points.xi, before)]
         self._take(points)
         self.meets, self.drag = meets, drag
+        self._whole = ~np.isin(points.facet, pairs[0])
         self.history = history[nearest_points(points.facet, points.xi, converged)]
+
+    def has_slid(self, before: Array, reach: float) -> bool:
+        """Whether points that answer have slid since the nodes were at `before`, or are on facets never cut."""
+        answers = (self.projection.gap < reach) | (self.response.slope != 0.0)
+        rows, met = self.rows[self.met[answers]], self.met[answers]
+        facet, master = self.points.facet[rows], self.facet[met]
+        points = np.einsum("mk,mkd->md", self.points.shape[rows], before[self.slave_nodes[facet]])
+        nodes, sign, xi = before[self.master_nodes[master]], self.visible.orientation[master], self.xi[met]
+        slide = np.abs(project(self.slave.kind, points, nodes, sign, xi).xi - xi).max(initial=0.0)
+        return bool(slide > CUT_DRIFT or self._whole[rows].any())
 
     def _take(self, points: SlavePoints) -> None:
         self.points, self.meets = points, np.ones(len(points.weight), bool)
@@ -230,7 +241,6 @@ class Contact:
         self.potential_scale = potential_scale
         self.margin = 0.0
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
-        self.stale = False  # and for the segments to be where facets begin and end
         self.broken = False
         self.cuts = any(p.segments for p in self.passes)
         self._coordinates = coordinates
@@ -318,7 +328,6 @@ class Contact:
         motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
         moved, drift = reductions.largest(self.comm, np.array(motions))
         self.outgrown = moved > 0.5 * self.margin
-        self.stale = self.cuts and moved > CUT_DRIFT * self._facet
         self._search = not self._searched or drift > DRIFT * self._facet
         if self._search:
             self._searched, self._searched_at = True, displacement.copy()
@@ -337,6 +346,14 @@ class Contact:
         nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
         vectors = np.concatenate([t.vectors for t in terms])
         return ContactTerms(nodes, vectors, np.concatenate([t.matrices for t in terms]) if tangent else None)
+
+    def stale(self) -> bool:
+        """Whether segments no longer begin and end where master facets do, at the last evaluation."""
+        if not self.cuts:
+            return False
+        before = self._reference + self._paired_at
+        slid = any(p.segments and p.has_slid(before, p.law.reach) for p in self.passes)
+        return self.comm.allreduce(slid, op=MPI.LOR)
 
     def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
         """Add the terms' vectors to a distributed residual."""

@@ -146,7 +146,7 @@ class Newton:
                 elif rechecks and self._overstayed():
                     rechecks -= 1
                     continue
-                elif cuts and problem.contact is not None and problem.contact.stale:
+                elif cuts and problem.contact is not None and problem.contact.stale():
                     cuts -= 1
                 elif rechecks:
                     self._polish(report)

@@ -121,3 +121,24 @@ def test_blocks_that_stand_out_press_on_the_overlap_alone(tmp_path: Path) -> Non
         force.append(row["force_y@top"])
     # 0.5 % with quadrature points on whole facets.
     assert force[0] == pytest.approx(force[1], rel=1e-4)
+
+
+def slid(steps: int) -> float:
+    """Force on two half discs pressed and slid by a facet and a half in so many steps."""
+    scene = press(
+        {"shape": "facing_halves"},
+        mesh={"size": 0.2, "contact_size": 0.05, "size_factors": {"upper": 1.3}},
+        bodies={"lower": "elastic", "upper": "elastic"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0.075, -0.02], "follows": "slide"},
+        ],
+        contact={"method": "segment", "passes": 1},
+        load={"steps": [steps], "factors": {"slide": [1.0]}},
+    )
+    return run(scene, MPI.COMM_SELF).history[-1]["force_y@top"]
+
+
+def test_segments_follow_what_slides_within_a_step() -> None:
+    """Without friction the way does not matter: one step ends where eight do, its segments cut anew on the way."""
+    assert slid(1) == pytest.approx(slid(8), rel=1e-5)
