@@ -21,6 +21,7 @@ from mpi4py import MPI
 from app import checkpoint, fenicsx
 from app.contact_pairs import contact_of
 from app.files import on_root
+from app.floating import left_alone, touching_bodies
 from app.history import Balance, augments, columns, pair_columns, pair_table, row
 from app.linear import Direct, Multigrid
 from app.model import Model
@@ -29,6 +30,7 @@ from app.problem import Problem
 from app.progress import Progress
 from app.results import Results
 from app.scene import Scene, SceneError, mesh_error
+from app.scene_errors import named
 from app.solver import Newton, SolveError
 from app.stepping import Step, Stepper, StepReport, steps
 from app.timing import Timer
@@ -116,6 +118,7 @@ class _Session:
 
     def __post_init__(self) -> None:
         self.history: list[dict[str, Any]] = []
+        self._touched: set[int] = set()
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
         self._fields: FieldOutput | None = None
@@ -156,6 +159,9 @@ class _Session:
                     break
                 self._finish(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
+        alone = left_alone(self.model, self._touched) if self.history and self.problem.contact is not None else []
+        if alone:
+            log.warning("held by weak springs alone, these bodies never touched anything: %s", named(alone))
         if failure is not None:
             reason = str(failure)
             log.error("%s", reason)
@@ -173,6 +179,8 @@ class _Session:
     def _finish(self, step: Step, report: StepReport, seconds: float) -> None:
         self.history.append(row(self.problem, self.balance, self.pairs, step, report, seconds))
         self.last_step = step.number
+        if self.problem.contact is not None:
+            self._touched |= touching_bodies(self.model, self.problem.contact)
         self._remember()
         if self.results is None:
             return

@@ -170,6 +170,26 @@ def test_plan_names_the_planes(comm: MPI.Comm) -> None:
     assert "with planes alone" in text
 
 
+@pytest.mark.mpi
+def test_a_body_that_never_touches_anything_is_named(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -> None:
+    """Three discs with gaps between them: floor and lid press the outer ones, the middle one hangs free."""
+    scene = Scene(
+        geometry={"shape": "fiber_array", "columns": 1, "rows": 3, "gap": 0.1},
+        mesh={"size": 0.4, "contact_size": 0.2, "cells": "tensor"},
+        bodies={"*": "elastic"},
+        planes=[
+            {"name": "floor", "point": "bottom", "motion": [0, 0.05]},
+            {"name": "lid", "point": "top", "motion": [0, -0.05]},
+        ],
+        contact={},
+        load={"steps": [1]},
+    )
+    with caplog.at_level("WARNING", logger="piezomat"):
+        run(scene, comm)
+    (warning,) = [record.getMessage() for record in caplog.records if "never touched" in record.getMessage()]
+    assert warning.endswith("never touched anything: fiber_2")
+
+
 @pytest.mark.parametrize(
     ("plane", "message"),
     [
