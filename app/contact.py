@@ -34,6 +34,7 @@ DRIFT = 0.05
 # A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
 # the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
 KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
+KEPT = 0.1  # and at the end of a solve by this share at most
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
 CUT_DRIFT = 1e-3
@@ -316,8 +317,8 @@ class Contact:
         self._turning = residual < TURNING
 
     def release(self) -> bool:
-        """Let points keep their facets no longer than at the start of a solve; whether they had been let."""
-        longer, self._keep = self._keep > KEEP[0][1], KEEP[0][1]
+        """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""
+        longer, self._keep = self._keep > KEPT, min(self._keep, KEPT)
         return longer
 
     def evaluate(self, state: PETSc.Vec, *, tangent: bool) -> ContactTerms:
