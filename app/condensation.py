@@ -36,6 +36,7 @@ class Condensation:
         # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz).
         self._ahead = 0.5 * max(problem.model.largest_motion(), problem.contact.least_margin())
         self._of = -1
+        self._factor: SchurFactor | None = None
         self._parts()
 
     def update(self, limit: int) -> bool:
@@ -55,6 +56,8 @@ class Condensation:
     def _condense(self, candidates: Integers) -> None:
         """Factorize the bulk and condense it to these global nodes, sorted and the same on all ranks."""
         self._of = self.problem.renewals
+        if self._factor is not None:
+            self._factor.destroy()
         problem, b = self.problem, self.block
         self.candidates = candidates
         bulk = problem.without_contact()

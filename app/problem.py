@@ -72,6 +72,19 @@ class Problem:
         """Whether the tangent is symmetric: all but follower pressure is derived from one enthalpy."""
         return self._load_tangent is None
 
+    def collect_garbage(self) -> None:
+        """Destroy the PETSc objects that Python has let go: petsc4py puts it off until all ranks do it together."""
+        PETSc.garbage_cleanup(self.comm)
+        PETSc.garbage_cleanup(self.state.comm.tompi4py())
+        PETSc.garbage_cleanup(MPI.COMM_SELF)
+
+    def close(self) -> None:
+        """Destroy the matrices; state and contact can still be looked at."""
+        for matrix in (self._bulk, self._grounding, self._grounded):
+            if matrix is not None:
+                matrix.destroy()
+        self.collect_garbage()
+
     def set_loads(self, factors: dict[str, float]) -> None:
         """Go to a load level: the loads and the values of the fixed unknowns (taken up by `predict`)."""
         self.model.set_loads(factors)

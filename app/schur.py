@@ -38,6 +38,10 @@ class SchurFactor:
         self.complement = _schur_complement(factor, len(kept)) if len(kept) else np.zeros((0, 0))
         self._right, self._result = matrix.createVecs()
 
+    def destroy(self) -> None:
+        """Give the factors' memory back. Ends its use."""
+        self._ksp.destroy()
+
     def solve(self, right: Array) -> Array:
         """The solution with the whole matrix."""
         self._right.array[:] = right

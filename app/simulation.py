@@ -99,6 +99,7 @@ def run(
         finally:
             session.close()
             newton.close()
+            problem.close()
     return Run(session.history, model, problem, bodies)
 
 

@@ -87,6 +87,7 @@ class Newton:
         # SNES holds methods of this solver: with newer PETSc Python cannot find that the two hold only each other.
         self.snes.getDict().clear()
         self.linear.close()
+        self.snes.destroy()
 
     def solve(self, margin: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
