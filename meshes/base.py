@@ -33,6 +33,10 @@ class Shape(BaseModel):
         """Draw and mesh into the current gmsh model, with the bodies and facet groups as physical groups."""
         raise NotImplementedError
 
+    def __eq__(self, other: object) -> bool:
+        """By the keys alone: what is derived from them and remembered are arrays."""
+        return type(self) is type(other) and self.model_dump() == other.model_dump()
+
     def outcome(self) -> object | None:
         """What a recipe came to, to be shown in words; None for a shape that is no recipe."""
         return None
