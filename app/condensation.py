@@ -34,12 +34,12 @@ class Condensation:
         self.block = problem.model.block
         self.candidates = np.zeros(0, np.int64)
         # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz).
-        self._ahead = 0.5 * max(problem.model.largest_motion(), problem.contact.least_margin())
+        self._ahead = 0.5 * (problem.model.largest_motion() or problem.contact.least_margin())
         self._of = -1
         self._factor: SchurFactor | None = None
         self._parts()
 
-    def update(self, limit: int) -> bool:
+    def update(self, limit: float) -> bool:
         """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns."""
         nodes, matrices = self.problem.contact_terms()
         outgrown = self.comm.allreduce(not np.isin(nodes, self.candidates).all(), op=MPI.LOR)

@@ -9,7 +9,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from app import fenicsx, reductions
-from app.contact import Contact, ContactPass, Pairs
+from app.contact import Contact
+from app.contact_pass import ContactPass, Pairs
 from app.model import Model
 from app.planes import PlanePass
 from app.scene_errors import SceneError

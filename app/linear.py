@@ -17,7 +17,8 @@ from app.scene_sections import Solver
 # Largest three-dimensional model for which a direct factorization is the faster choice (REFERENCES: MUMPS takes
 # 2.8 s at 50,000 unknowns and 74 s at 251,000, multigrid 6.5 s there).
 DIRECT_LIMIT_3D = 60_000
-CONDENSED_LIMIT = 5_000  # unknowns of the contact's candidates, whose dense matrix is factorized in each iteration
+# Most unknowns of the contact's candidates, whose dense matrix is factorized in each iteration: more in large models.
+CONDENSED_LIMIT, CONDENSED_SHARE, CONDENSED_ALWAYS = 5_000, 0.2, 500
 START_TOLERANCE = 1e-3  # of the linear solve that gives Newton's method its start value
 AGED = 1.5  # growth of the Krylov iterations a digit that has a preconditioner made anew
 
@@ -96,7 +97,8 @@ class Direct:
         self.problem.linearize(x)
         if self._condensation is not None:
             with self.problem.timer("linear_solve"):
-                few = self._condensation.update(CONDENSED_LIMIT)
+                share = max(CONDENSED_SHARE * self.problem.model.unknowns, CONDENSED_ALWAYS)
+                few = self._condensation.update(min(CONDENSED_LIMIT, share))
             if few:
                 return self._operator.matrix, self._operator.matrix
             self._condensation = None

@@ -9,7 +9,8 @@ import ufl
 from numpy.typing import NDArray
 
 from app import fenicsx
-from app.contact import Contact, ContactPass
+from app.contact import Contact
+from app.contact_pass import ContactPass
 from app.model import Model
 from app.pieces import ContactPoints, FieldPiece, grid
 from app.planes import PlanePass

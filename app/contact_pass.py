@@ -1,0 +1,189 @@
+"""Contact passes: the points of a slave surface against a master surface, what they remember and how they are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forms.contact.augmentation import Shift
+from forms.contact.gap import Projection, project
+from forms.contact.integrals import SlavePoints
+from forms.contact.laws import Drag, History, InterfaceLaw, Response
+from forms.contact.segments import Facets, nearest_points, segment_points
+from meshes.crowd import Meetings, Rule, VisibleFacets
+from meshes.pairing import facing_pairs
+from meshes.surface import Surface
+
+Array = NDArray[np.float64]
+
+# Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
+# the square of it.
+CUT_DRIFT = 1e-3
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """How pairs are numbered and named: those of the scene in their order, or two bodies i < j as i * count + j.
+
+    listed: the pairs that have columns in the history, and their numbers in the contact points written.
+    """
+
+    bodies: tuple[str, ...]
+    given: tuple[str, ...] | None
+    listed: dict[int, str]
+
+    def name(self, number: int) -> str:
+        """The name of a pair."""
+        if self.given is not None:
+            return self.given[number]
+        return "-".join(self.bodies[i] for i in divmod(number, len(self.bodies)))
+
+    def of_bodies(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Numbers of pairs of bodies."""
+        return np.minimum(first, second) * len(self.bodies) + np.maximum(first, second)
+
+
+@dataclass
+class ContactPass:
+    """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
+
+    A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by the
+    clumps of the slave's facets (f,) and of the master's which of them may meet. `share` is the pass's share of the
+    contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the points near the master, `facet` and
+    `xi` their partners in `visible` and where; the last evaluation is kept, with `force` and `position` (m, d) of the
+    points that met a facet, and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`.
+    size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
+    its far side and meets nothing.
+
+    With `segments`, points are those of the slave facets' pieces, anew at every pairing; penalties and adhesion are a
+    facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
+    """
+
+    pair: int
+    slave: Surface
+    master: Surface
+    slave_clump: NDArray[np.int64]
+    master_clump: NDArray[np.int64]
+    rule: Rule
+    points: SlavePoints
+    law: InterfaceLaw
+    share: float
+    first: bool
+    size: Array
+    depth: float
+    segments: bool = False
+    meets: NDArray[np.bool_] = field(init=False)
+    history: History = field(init=False)
+    shift: Shift = field(init=False)
+    drag: Drag = field(init=False)
+    meetings: Meetings = field(init=False)
+    visible: VisibleFacets = field(init=False)
+    rows: NDArray[np.int64] = field(init=False)
+    facet: NDArray[np.int64] = field(init=False)
+    xi: Array = field(init=False)
+    slave_nodes: NDArray[np.int64] = field(init=False)
+    master_nodes: NDArray[np.int64] = field(init=False)
+    met: NDArray[np.int64] = field(init=False)
+    projection: Projection | None = field(init=False, default=None)
+    gap: Array = field(init=False)
+    response: Response | None = field(init=False, default=None)
+    jump: Array | None = field(init=False, default=None)
+    force: Array = field(init=False)
+    position: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        first = np.searchsorted(self.points.facet, np.arange(len(self.slave)))
+        self._of_facets = (self.law[first], self.size[first]) if self.segments else None
+        self.meets = np.ones(len(self.points.weight), bool)
+        self.history = History.virgin(len(self.points.weight))
+        self.shift = Shift.none(self.slave.kind, len(self.slave))
+        self.drag = Drag.none(len(self.points.weight))
+        self.remember()
+
+    def remember(self) -> None:
+        """Take points and history for those of the last converged step."""
+        self._converged = self.memory()
+
+    def memory(self) -> tuple[SlavePoints, History, Shift]:
+        """What is remembered of a converged step: points, their history, their multipliers."""
+        return self.points, self.history.copy(), self.shift.copy()
+
+    def recall(self, memory: tuple[SlavePoints, History, Shift]) -> None:
+        """Go back to what was remembered."""
+        self._take(memory[0])
+        self.history, self.shift, self._converged = memory[1].copy(), memory[2].copy(), memory
+
+    def give_up(self) -> None:
+        """Go back to the multipliers of the last converged step: those of a solve that failed are worth nothing."""
+        self.shift = self._converged[2].copy()
+
+    def cut(self, position: Array, reach: float) -> None:
+        """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
+        slave = Facets(position[self.slave_nodes], self.slave.orientation, self.slave.key)
+        master = Facets(position[self.master_nodes], self.visible.orientation, self.visible.key)
+        kind = self.slave.kind
+        pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
+        allowed = self.rule.allows(self.slave_clump[pairs[0]], self.visible.clump[pairs[1]])
+        pairs = pairs[0][allowed], pairs[1][allowed]
+        before, (converged, history, _) = self.points, self._converged
+        points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
+        drag = self.drag[nearest_points(points.facet, points.xi, before)]
+        self._take(points)
+        self.meets, self.drag = meets, drag
+        self._whole = ~np.isin(points.facet, pairs[0])
+        self.history = history[nearest_points(points.facet, points.xi, converged)]
+
+    def has_slid(self, before: Array, reach: float) -> bool:
+        """Whether points that answer have slid since the nodes were at `before`, or are on facets never cut."""
+        answers = (self.projection.gap < reach) | (self.response.slope != 0.0)
+        rows, met = self.rows[self.met[answers]], self.met[answers]
+        facet, master = self.points.facet[rows], self.facet[met]
+        points = np.einsum("mk,mkd->md", self.points.shape[rows], before[self.slave_nodes[facet]])
+        nodes, sign, xi = before[self.master_nodes[master]], self.visible.orientation[master], self.xi[met]
+        slide = np.abs(project(self.slave.kind, points, nodes, sign, xi).xi - xi).max(initial=0.0)
+        return bool(slide > CUT_DRIFT or self._whole[rows].any())
+
+    def _take(self, points: SlavePoints) -> None:
+        self.points, self.meets = points, np.ones(len(points.weight), bool)
+        self.drag = Drag.none(len(points.weight))
+        if self.segments:
+            law, size = self._of_facets
+            self.law, self.size = law[points.facet], size[points.facet]
+
+    def met_clump(self) -> NDArray[np.int64]:
+        """The clump that each point of the last evaluation met, (met,)."""
+        return self.visible.clump[self.facet[self.met]]
+
+    def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Number of the pair that each point met belongs to, and whether the point is on the first of the two."""
+        if pairs.given is not None:
+            return np.full(len(self.met), self.pair), np.full(len(self.met), self.first)
+        slave = self.rule.body(self.slave_clump[self.points.facet[self.rows[self.met]]])
+        master = self.rule.body(self.met_clump())
+        return pairs.of_bodies(slave, master), slave < master
+
+    def keys(self) -> NDArray[np.int64]:
+        """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
+        return self._keys(self.points.facet, self.points.place)
+
+    def corner_keys(self) -> NDArray[np.int64]:
+        """(facets * corners, 4) numbers of the corners of the facets."""
+        return self._keys(*(index.ravel() for index in np.indices(self.shift.gap.shape)))
+
+    def every_key(self, places: int) -> NDArray[np.int64]:
+        """Keys of all points that the facets could have, so many places each."""
+        facet, place = np.divmod(np.arange(len(self.slave) * places), places)
+        return self._keys(facet, place)
+
+    def recover(self, xi: Array, found: NDArray[np.bool_], places: int) -> None:
+        """Take the points of a checkpoint, asked for by `every_key`; their weights come when they are cut anew."""
+        facet, place = np.divmod(np.flatnonzero(found), places)
+        none = np.zeros(len(facet))
+        self._take(SlavePoints(facet, place, xi[found], self.slave.kind.shape(xi[found]), none, none))
+        self.history = History.virgin(len(facet))
+
+    def _keys(self, facet: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+        same = np.ones(len(facet), np.int64)
+        return np.stack([self.pair * same, int(self.first) * same, self.slave.key[facet], place], axis=1)
