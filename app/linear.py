@@ -200,7 +200,8 @@ class Multigrid:
             "pc_type": "fieldsplit",
             "pc_fieldsplit_type": "multiplicative",
             "fieldsplit_phi_ksp_type": "preonly",
-            "fieldsplit_phi_pc_type": "hypre",
+            # Classical coarsening suits a scalar; PyPI's wheel of DOLFINx is without it.
+            "fieldsplit_phi_pc_type": "hypre" if PETSc.Sys.hasExternalPackage("hypre") else "gamg",
             "fieldsplit_u_ksp_type": "preonly",
         }
         return split | {f"fieldsplit_u_{name}": value for name, value in amg.items()}
