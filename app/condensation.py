@@ -38,6 +38,9 @@ class Condensation:
         self._of = -1
         self._factor: SchurFactor | None = None
         self._parts()
+        self._here = PETSc.IS().createGeneral(_unknowns(self._nodes, self.block), comm=MPI.COMM_SELF)
+        self._local = PETSc.Vec().createSeq(self._here.getSize(), comm=MPI.COMM_SELF)
+        self._exchange = PETSc.Scatter().create(problem.state, self._here, self._local, None)
 
     def update(self, limit: float) -> bool:
         """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns."""
@@ -62,35 +65,27 @@ class Condensation:
         self.candidates = candidates
         bulk = problem.without_contact()
         bulk.zeroRowsColumns(problem.model.fixed_global, diag=1.0)
-        unknowns = PETSc.IS().createGeneral(_unknowns(self._nodes, b), comm=MPI.COMM_SELF)
-        (matrix,) = bulk.createSubMatrices([unknowns], [unknowns])
-        if not len(self._nodes):
-            self._places, self._factor = np.zeros(0, np.int64), None
-        else:
-            mine = np.flatnonzero(np.isin(self._nodes, candidates))
-            places = _unknowns(mine, b).astype(np.int64)
+        (matrix,) = bulk.createSubMatrices([self._here], [self._here])
+        self._places, self._factor, reduced = np.zeros(0, np.int64), None, np.zeros((0, 0))
+        if len(self._nodes):
+            self._places = _unknowns(np.flatnonzero(np.isin(self._nodes, candidates)), b).astype(np.int64)
             # Parts that only contact holds leave K singular: springs of the bulk's own stiffness are added at the
             # candidates, and taken away from S. The potential's block is negative.
             diagonal = matrix.getDiagonal()
-            self._shift = diagonal.array_r[places].copy()
-            diagonal.array[places] += self._shift
+            shift = diagonal.array_r[self._places].copy()
+            diagonal.array[self._places] += shift
             matrix.setDiagonal(diagonal)
-            self._places = places
-            self._factor = SchurFactor(matrix, places.astype(np.int32))
-        own = _unknowns(self._nodes, b)[self._places].astype(np.int64)
-        complement = np.zeros((0, 0)) if self._factor is None else self._factor.complement
-        shift = np.zeros(0) if self._factor is None else self._shift
-        gathered = self.comm.gather((own, complement - np.diag(shift)))
-        self._own = np.searchsorted(_unknowns(candidates, b), own)
-        self._free = ~np.isin(_unknowns(candidates, b), np.concatenate(self.comm.allgather(problem.model.fixed_global)))
+            self._factor = SchurFactor(matrix, self._places.astype(np.int32))
+            reduced = self._factor.complement - np.diag(shift)
+        unknowns = _unknowns(candidates, b)
+        self._own = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._places])
+        self._free = ~np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
+        gathered = self.comm.gather((self._own, reduced))
         self._reduced: Array | None = None
         if gathered is not None:
-            n = len(candidates) * b
-            self._reduced = np.zeros((n, n))
-            for theirs, part in gathered:
-                at = np.searchsorted(_unknowns(candidates, b), theirs)
+            self._reduced = np.zeros((len(unknowns), len(unknowns)))
+            for at, part in gathered:
                 self._reduced[np.ix_(at, at)] = part
-        self._exchange, self._local = self._scatter(unknowns)
 
     def _add(self, nodes: Integers, matrices: Array) -> None:
         """Factorize the condensed bulk with the contact's matrices of these nodes added."""
@@ -151,10 +146,6 @@ class Condensation:
             load[rank_of[part]] += count[part]
         parcels = [start + np.flatnonzero(rank_of[owned] == rank) for rank in range(self.comm.size)]
         self._nodes: Integers = np.sort(np.concatenate(self.comm.alltoall(parcels)))
-
-    def _scatter(self, unknowns: PETSc.IS) -> tuple[PETSc.Scatter, PETSc.Vec]:
-        local = PETSc.Vec().createSeq(unknowns.getSize(), comm=MPI.COMM_SELF)
-        return PETSc.Scatter().create(self.problem.state, unknowns, local, None), local
 
 
 def _unknowns(nodes: Integers, block: int) -> NDArray[np.int32]:

@@ -80,7 +80,8 @@ class Problem:
 
     def close(self) -> None:
         """Destroy the matrices; state and contact can still be looked at."""
-        for matrix in (self._bulk, self._grounding, self._grounded):
+        tangent = self._matrix.matrix if self._matrix is not None else None
+        for matrix in (self._bulk, self._grounding, self._grounded, tangent):
             if matrix is not None:
                 matrix.destroy()
         self.collect_garbage()

@@ -101,9 +101,8 @@ def closest_facets(
     again = np.flatnonzero(np.isfinite(least) & (unseen < least))
     if len(again):
         more_row, more_facet = _all_within(points[again], facets, least[again])
-        seen = seen[~np.isin(row, again)]
-        row, facet = np.concatenate([seen.row, again[more_row]]), np.concatenate([seen.facet, more_facet])
-        seen = _look(kind, points, normals, facets, orientation, row, facet)
+        more = _look(kind, points, normals, facets, orientation, again[more_row], more_facet)
+        seen = seen[~np.isin(row, again)].and_those(more)
     # A point behind a facet is inside the body only if the nearest facet of all says so too: the far side of a body
     # faces the far side of the other.
     closest = np.lexsort((~seen.facing, seen.distance, seen.row))
@@ -136,6 +135,11 @@ class _Seen:
 
     def __getitem__(self, pairs: NDArray) -> _Seen:
         return _Seen(*(getattr(self, name)[pairs] for name in self.__dataclass_fields__))
+
+    def and_those(self, more: _Seen) -> _Seen:
+        """These pairs and then more."""
+        both = ((getattr(self, name), getattr(more, name)) for name in self.__dataclass_fields__)
+        return _Seen(*(np.concatenate(parts) for parts in both))
 
     def least(self, points: int) -> Array:
         """Distance of each point to the nearest facet that faces it, inf for none."""

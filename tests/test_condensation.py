@@ -14,7 +14,7 @@ from app.schur import SchurFactor
 from app.simulation import run
 from tests.histories import assert_equal
 
-DIRECT = {"solver": {"petsc": {"mat_mumps_icntl_14": 60}}}  # a word on the factorization asks for that of the whole
+WHOLE = {"petsc": {"mat_mumps_icntl_14": 60}}  # a word on the factorization asks for that of the whole
 
 
 def pressed(dimension: int, **changes: object) -> Scene:
@@ -55,7 +55,7 @@ def test_schur_complement_and_solution() -> None:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_same_history_as_with_the_whole_tangent(dimension: int, comm: MPI.Comm) -> None:
     condensed = run(pressed(dimension), comm).history
-    whole = run(pressed(dimension, solver={"tolerance": 1e-11, **DIRECT["solver"]}), comm).history
+    whole = run(pressed(dimension, solver={"tolerance": 1e-11, **WHOLE}), comm).history
     assert [row["newton"] for row in condensed] == [row["newton"] for row in whole]
     assert_equal(condensed, whole)
 
