@@ -20,6 +20,7 @@ from forms.contact.facets import FacetKind
 from forms.contact.gap import project
 from forms.contact.integrals import contact_vectors
 from forms.contact.laws import Drag, Response
+from forms.contact.smoothing import to_corners
 from meshes.crowd import Meetings, VisibleFacets, share_facets
 from meshes.overlap import deepest_overlap
 from meshes.pairing import closest_facets, may_touch, near_points, point_normals
@@ -78,7 +79,7 @@ class Contact:
         self._keep = KEEP[0][1]
         self._turning = True
         self._dragged = False
-        self._of_planes: list[ContactTerms] = [_nothing(p.slave.kind, self.components, False) for p in self.planes]
+        self._of_planes: list[ContactTerms] = [_nothing(p.slave.nodes, self.components, False) for p in self.planes]
         sizes = [np.log(p.size) for p in self.every]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
@@ -102,7 +103,8 @@ class Contact:
         needed = []
         for p in self.passes:
             slave, master = position[p.slave.nodes], position[p.master.nodes]
-            own = VisibleFacets(_global(index_map, p.master.nodes), p.master.orientation, p.master.key, p.master_clump)
+            numbers = _global(index_map, p.master.nodes)
+            own = VisibleFacets(numbers, p.master.orientation, p.master.key, p.master_clump, p.master.rounding)
             p.visible = share_facets(self.comm, slave, p.slave_clump, own, master, margin, p.rule)
             needed += [_global(index_map, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
         needed += [_global(index_map, p.slave.nodes).ravel() for p in self.planes[:1]]  # all planes meet the same
@@ -118,8 +120,8 @@ class Contact:
             if p.segments:
                 # Facets that come nearer than this in a step are cut when it has ended.
                 p.cut(position, self.reach + 0.5 * self._facet + 4.0 * self.last_penetration)
-            points = np.einsum("mk,mkd->md", p.points.shape, position[p.slave_nodes[p.points.facet]])
-            self._meet_clumps(p, points, position[p.master_nodes], margin)
+            points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
+            self._meet_clumps(p, points, p.master_at(position), margin)
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
         for p in self.planes:
@@ -172,8 +174,8 @@ class Contact:
         # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
         self.broken = self.comm.allreduce(terms is None, op=MPI.LOR)
         if self.broken:
-            terms = [_nothing(p.slave.kind, self.components, tangent) for p in self.every]
-        size = 2 * len(self.every[0].slave.kind.nodes)
+            terms = [_nothing(p.slave.nodes, self.components, tangent) for p in self.every]
+        size = 2 * self.every[0].slave.nodes.shape[1]
         nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
         vectors = np.concatenate([t.vectors for t in terms])
         return ContactTerms(nodes, vectors, np.concatenate([t.matrices for t in terms]) if tangent else None)
@@ -233,17 +235,21 @@ class Contact:
     def add_forces_of_planes(self, residual: PETSc.Vec) -> None:
         """Add the planes' share of the last evaluation to a distributed residual."""
         for p, terms in zip(self.planes, self._of_planes, strict=True):
-            self._add(terms.nodes.reshape(-1, 2 * len(p.slave.kind.nodes)), terms.vectors, residual)
+            self._add(terms.nodes.reshape(-1, 2 * p.slave.nodes.shape[1]), terms.vectors, residual)
 
     def _meet(self, p: PlanePass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
         facet, nodes, vectors, matrices = p.evaluate(
             position, potentials, self.components, self.potential_scale, tangent
         )
         # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
-        nodes, vectors = np.concatenate([nodes, nodes], axis=1), np.pad(vectors, ((0, 0), (0, nodes.shape[1]), (0, 0)))
+        nodes, vectors = (
+            np.concatenate([nodes, nodes], axis=1),
+            np.pad(vectors, ((0, 0), (0, vectors.shape[1]), (0, 0))),
+        )
         if matrices is not None:
             matrices = np.pad(matrices, ((0, 0), *((0, matrices.shape[1]),) * 2))
-        terms = _sum_by_pair(facet, nodes, vectors, matrices)
+        offsets = p.slave.rounding[np.unique(facet)]
+        terms = _to_corners(p.slave.kind, _sum_by_pair(facet, nodes, vectors, matrices), offsets, offsets)
         self._of_planes[p.pair - self.planes[0].pair] = terms
         return terms
 
@@ -355,7 +361,7 @@ class Contact:
         position = self._reference + self._paired_at
         deepest = 0.0
         for p in self.passes:
-            centers, facets = position[p.slave_nodes].mean(axis=1), position[p.master_nodes]
+            centers, facets = position[p.slave_nodes].mean(axis=1), p.master_at(position)
             for near, clump in zip(p.meetings.points, p.meetings.facets, strict=True):
                 slaves = np.unique(p.points.facet[p.rows[near]])
                 depth = deepest_overlap(p.slave.kind, centers[slaves], facets[clump], p.visible.orientation[clump])
@@ -391,20 +397,22 @@ class Contact:
     def _evaluate(self, p: ContactPass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
         kind = p.slave.kind
         slave = p.slave_nodes[p.points.facet[p.rows]]
-        points = np.einsum("mk,mkd->md", p.points.shape[p.rows], position[slave])
+        points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
         self._partners(p, points, position)
         p.met = np.flatnonzero(p.facet >= 0)
         p.position = points[p.met]
         facet, rows = p.facet[p.met], p.rows[p.met]
         master = p.master_nodes[facet]
-        p.projection = project(kind, points[p.met], position[master], p.visible.orientation[facet], p.xi[p.met])
+        masters = p.master_at(position, facet)
+        p.projection = project(kind, points[p.met], masters, p.visible.orientation[facet], p.xi[p.met])
         p.xi[p.met] = p.projection.xi
         slave, shape = slave[p.met], p.points.shape[rows]
         p.jump = None
         law, scale = p.law[rows], self.potential_scale
         if potentials is not None and law.electric_penalty is not None:
-            p.jump = np.einsum("mk,mk->m", shape, potentials[slave])
-            p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), potentials[master]))
+            here, there = p.potentials_at(potentials, p.points.facet[rows], facet)
+            p.jump = np.einsum("mk,mk->m", shape, here)
+            p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
         shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
         p.gap = p.projection.gap + shift[0]
         r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift)
@@ -424,15 +432,17 @@ class Contact:
             p.share * p.points.weight[rows][active],
             scaled,
             self.components,
-            potentials[master[active]] if p.jump is not None else None,
+            there[active] if p.jump is not None else None,
             tangent=tangent,
             turning=self._turning,
         )
         nodes = np.concatenate([slave[active], master[active]], axis=1)
         p.force = np.zeros((len(rows), self.dim))
-        p.force[active] = -vectors[:, : slave.shape[1], : self.dim].sum(axis=1)
+        p.force[active] = -vectors[:, : len(kind.nodes), : self.dim].sum(axis=1)
         pair_of_facets = p.points.facet[rows][active] * max(len(p.visible), 1) + facet[active]
-        return _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
+        terms = _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
+        own, other = np.divmod(np.unique(pair_of_facets), max(len(p.visible), 1))
+        return _to_corners(kind, terms, p.slave.rounding[own], p.visible.rounding[other])
 
     def _partners(self, p: ContactPass, points: Array, position: Array) -> None:
         """Keep each point's master facet as long as it projects onto it, and search for the others."""
@@ -441,14 +451,14 @@ class Contact:
         have = np.flatnonzero(p.facet >= 0)
         if len(have):
             facet = p.facet[have]
-            nodes = position[p.master_nodes[facet]]
+            nodes = p.master_at(position, facet)
             xi = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have]).xi
             p.xi[have] = xi
             lost[have[kind.overshoot(xi) > self._keep]] = True
         if not lost.any():
             return
         own = p.points.facet[p.rows]
-        normals = point_normals(kind, p.points.xi[p.rows], position[p.slave_nodes[own]], p.slave.orientation[own])
+        normals = point_normals(kind, p.points.xi[p.rows], p.slave_at(position, own), p.slave.orientation[own])
         p.facet[lost] = -1
         least = np.full(len(p.rows), np.inf)
         # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
@@ -458,7 +468,7 @@ class Contact:
             tried = near[lost[near]]
             if not len(tried):
                 continue
-            nodes, orientation = position[p.master_nodes[facets]], p.visible.orientation[facets]
+            nodes, orientation = p.master_at(position, facets), p.visible.orientation[facets]
             tried = tried[may_touch(kind, points[tried], normals[tried], nodes, orientation, reach)]
             found, xi = closest_facets(
                 kind,
@@ -490,8 +500,8 @@ class Contact:
         return self._local.array.reshape(-1, self.components).copy()
 
 
-def _nothing(kind: FacetKind, components: int, tangent: bool) -> ContactTerms:
-    n = 2 * len(kind.nodes)
+def _nothing(facets: NDArray, components: int, tangent: bool) -> ContactTerms:
+    n = 2 * facets.shape[1]
     empty = np.zeros((0, n, components))
     return ContactTerms(
         np.zeros((0, n), np.int64), empty, np.zeros((0, n * components, n * components)) if tangent else None
@@ -512,3 +522,8 @@ def _sum_by_pair(
     _, first = np.unique(pair[order], return_index=True)
     summed = None if matrices is None else np.add.reduceat(matrices[order], first)
     return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed)
+
+
+def _to_corners(kind: FacetKind, terms: ContactTerms, slave: Array, master: Array) -> ContactTerms:
+    """Terms of pairs of facets, curved on their corners by `rounding`, in terms of these corners."""
+    return ContactTerms(terms.nodes, *to_corners(kind, terms.vectors, terms.matrices, (slave, master)))

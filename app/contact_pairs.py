@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -16,11 +17,13 @@ from app.planes import PlanePass
 from app.scene_errors import SceneError
 from app.scene_sections import SIDES, Plane
 from app.scene_sections import Contact as ContactKeys
-from forms.contact.integrals import nodal_points, quadrature_points
+from forms.contact.augmentation import corner_kind
+from forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
 from forms.contact.laws import Adhesion, InterfaceLaw
 from forms.contact.lennard_jones import LennardJones
 from forms.materials import Material
 from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule
+from meshes.nodal_normals import smoothed
 from meshes.surface import Surface, body_facets, multiplicity, surface
 
 Array = NDArray[np.float64]
@@ -78,7 +81,7 @@ def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
     surfaces, clumps = {}, {}
     for kind in dict.fromkeys(kinds):
         of_kind = np.array([k == kind for k in kinds])[bodies.cell_body[whole.cells]]
-        surfaces[kind] = surface(model.space, "bodies", outside[of_kind], bodies.order)
+        surfaces[kind] = _facets(model, "bodies", outside[of_kind])
         cells = surfaces[kind].cells
         clumps[kind] = rule.clump(bodies.cell_body[cells], bodies.cell_part[cells])
     clumps_of_bodies = {kind: [] for kind in surfaces}
@@ -113,10 +116,10 @@ def _planes(model: Model, first_number: int) -> list[PlanePass]:
     if not model.scene.planes:
         return []
     keys = model.scene.contact or ContactKeys()
-    outside = surface(model.space, "outside", fenicsx.exterior_facets(model.mesh), model.bodies.order)
+    outside = _facets(model, "outside", fenicsx.exterior_facets(model.mesh))
     points = quadrature_points(outside.kind, outside.reference)
     if keys.method == "node":
-        points = nodal_points(outside.kind, outside.reference)
+        points = _nodal(outside)
     size = _facet_sizes(outside)[points.facet]
     body = model.bodies.cell_body[outside.cells[points.facet]]
     stiffness = np.array([stiffness_of(m) for m in model.materials])[body]
@@ -150,10 +153,25 @@ def _surface(model: Model, name: str, key: str) -> Surface:
         facets = body_facets(model.space, bodies.cell_body, bodies.bodies.index(name))
     else:
         facets = np.intersect1d(bodies.facets[name], fenicsx.exterior_facets(model.mesh))
-    result = surface(model.space, name, facets.astype(np.int32), bodies.order)
+    result = _facets(model, name, facets.astype(np.int32))
     if model.comm.allreduce(len(result)) == 0:
         raise SceneError(key, f'"{name}", which has no facets on the outside', "a body or a facet group of the outside")
     return result
+
+
+def _facets(model: Model, name: str, facets: NDArray[np.int32]) -> Surface:
+    """The surface of some facets, curved if the scene asks for it."""
+    keys, flat = model.scene.contact, surface(model.space, name, facets, model.bodies.order)
+    return smoothed(model.space, flat) if keys is not None and keys.smoothing else flat
+
+
+def _nodal(group: Surface, shared: Array | None = None) -> SlavePoints:
+    """The nodes of a surface as points, those with unknowns alone."""
+    if not group.rounding.shape[1]:
+        return nodal_points(group.kind, group.reference, shared)
+    flat = corner_kind(group.kind)
+    points = nodal_points(flat, group.reference[:, : len(flat.nodes)], shared)
+    return replace(points, shape=group.kind.shape(points.xi))
 
 
 def _pass(
@@ -171,7 +189,7 @@ def _pass(
         points = quadrature_points(slave.kind, slave.reference)
     else:
         shared = multiplicity(model.space, slave) if keys.nodal_weight == "unit" else None
-        points = nodal_points(slave.kind, slave.reference, shared)
+        points = _nodal(slave, shared)
     size = _facet_sizes(slave)[points.facet]
     materials = [model.materials[i] for i in _bodies_of(model, slave) | _bodies_of(model, master)]
     stiffness = np.full(len(size), min(stiffness_of(m) for m in materials))

@@ -12,6 +12,7 @@ from forms.contact.gap import Projection, project
 from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from forms.contact.segments import Facets, nearest_points, segment_points
+from forms.contact.smoothing import rounded, spread
 from meshes.crowd import Meetings, Rule, VisibleFacets
 from meshes.pairing import facing_pairs
 from meshes.surface import Surface
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
 CUT_DRIFT = 1e-3
+EVERY = slice(None)
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,8 @@ class ContactPass:
 
     def cut(self, position: Array, reach: float) -> None:
         """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
-        slave = Facets(position[self.slave_nodes], self.slave.orientation, self.slave.key)
-        master = Facets(position[self.master_nodes], self.visible.orientation, self.visible.key)
+        slave = Facets(self.slave_at(position), self.slave.orientation, self.slave.key)
+        master = Facets(self.master_at(position), self.visible.orientation, self.visible.key)
         kind = self.slave.kind
         pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
         allowed = self.rule.allows(self.slave_clump[pairs[0]], self.visible.clump[pairs[1]])
@@ -135,13 +137,29 @@ class ContactPass:
         self._whole = ~np.isin(points.facet, pairs[0])
         self.history = history[nearest_points(points.facet, points.xi, converged)]
 
+    def slave_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
+        """Nodes (f, n, d) of slave facets, those of curved ones that have no number included, nodes at `position`."""
+        return rounded(self.slave.kind, position[self.slave_nodes[facet]], self.slave.rounding[facet])
+
+    def master_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
+        """The same of the visible master facets."""
+        return rounded(self.slave.kind, position[self.master_nodes[facet]], self.visible.rounding[facet])
+
+    def potentials_at(self, potentials: Array, slave: NDArray, master: NDArray) -> tuple[Array, Array]:
+        """Nodal potentials (m, n) of slave and of master facets."""
+        kind = self.slave.kind
+        return (
+            spread(kind, potentials[self.slave_nodes[slave]], self.slave.rounding[slave]),
+            spread(kind, potentials[self.master_nodes[master]], self.visible.rounding[master]),
+        )
+
     def has_slid(self, before: Array, reach: float) -> bool:
         """Whether points that answer have slid since the nodes were at `before`, or are on facets never cut."""
         answers = (self.projection.gap < reach) | (self.response.slope != 0.0)
         rows, met = self.rows[self.met[answers]], self.met[answers]
         facet, master = self.points.facet[rows], self.facet[met]
-        points = np.einsum("mk,mkd->md", self.points.shape[rows], before[self.slave_nodes[facet]])
-        nodes, sign, xi = before[self.master_nodes[master]], self.visible.orientation[master], self.xi[met]
+        points = np.einsum("mk,mkd->md", self.points.shape[rows], self.slave_at(before, facet))
+        nodes, sign, xi = self.master_at(before, master), self.visible.orientation[master], self.xi[met]
         slide = np.abs(project(self.slave.kind, points, nodes, sign, xi).xi - xi).max(initial=0.0)
         return bool(slide > CUT_DRIFT or self._whole[rows].any())
 

@@ -99,7 +99,8 @@ def _contact(model: Model, contact: Contact | None) -> str:
     both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
     listed = list(contact.pairs.listed.values())
     what = f"{len(listed)} pairs ({named(listed)})" if listed else "any two bodies that come near each other"
-    return f"{what}, {where}, {passes}, {points} points, penalties for {both}"
+    curved = ", facets curved with a continuous normal" if keys.smoothing else ""
+    return f"{what}, {where}, {passes}, {points} points, penalties for {both}{curved}"
 
 
 def _planes(model: Model) -> list[tuple[str, str]]:

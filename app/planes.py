@@ -16,6 +16,7 @@ from app.scene_sections import Plane
 from forms.contact.augmentation import Shift, respond
 from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
+from forms.contact.smoothing import rounded, spread
 from meshes.pairing import FACING, point_normals
 from meshes.surface import Surface
 
@@ -123,7 +124,7 @@ class PlanePass:
 
     def look(self, position: Array, margin: float) -> None:
         """Find the points within `margin` (um) of the plane whose surface faces it, nodes being at `position`."""
-        nodes = position[self.slave_nodes]
+        nodes = rounded(self.slave.kind, position[self.slave_nodes], self.slave.rounding)
         facet = self.points.facet
         points = np.einsum("mk,mkd->md", self.points.shape, nodes[facet])
         near = np.flatnonzero(self._gap(points) <= margin)
@@ -137,17 +138,20 @@ class PlanePass:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array | None]:
         """Facet (k,), nodes (k, n), vectors (k, n, c) and matrices (k, n * c, n * c) of the points that answer.
 
+        Of facets curved by `rounding` the nodes are the corners, the vectors and matrices those of all nodes.
+
         potentials: the potential unknown at the nodes, which times `scale` is the potential.
         """
         rows, d = self.rows, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
         nodes = self.slave_nodes[facet]
-        self.position = np.einsum("mk,mkd->md", shape, position[nodes])
+        kind, offsets = self.slave.kind, self.slave.rounding[facet]
+        self.position = np.einsum("mk,mkd->md", shape, rounded(kind, position[nodes], offsets))
         gap = self._gap(self.position)
         self.projection = PlaneProjection(gap, np.tile(self.normal, (len(rows), 1)))
         self.jump = self.surface_potential = None
         if potentials is not None:
-            self.surface_potential = scale * np.einsum("mk,mk->m", shape, potentials[nodes])
+            self.surface_potential = scale * np.einsum("mk,mk->m", shape, spread(kind, potentials[nodes], offsets))
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
         shift = self.shift.at(self.slave.kind, facet, self.points.xi[rows])

@@ -136,9 +136,14 @@ def _prescribed(row: Boundary) -> list[str]:
 
 
 def contact(scene: Scene) -> None:
-    """Pairs name two different bodies or groups of facets, each pair once."""
+    """Pairs name two different bodies or groups of facets, each pair once; what can be smoothed is smoothed alone."""
     if scene.contact is None:
         return
+    if scene.contact.smoothing and scene.mesh.order == 2:
+        raise SceneError("contact.smoothing", "true", "false with mesh.order = 2, whose facets are curved")
+    if scene.contact.smoothing and scene.dimension == 3 and scene.model.kinematics == "finite":
+        allowed = 'false, or model.kinematics = "small": in three dimensions curved facets do not turn with the bodies'
+        raise SceneError("contact.smoothing", "true", allowed)
     pairs = scene.contact.pairs
     if pairs == "auto":
         if len(scene.body_names) < 2:

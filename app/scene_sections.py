@@ -294,6 +294,11 @@ class Contact(Keys):
         description="gap (in facet sizes) and potential jump (in the potential's range) that augmentation may leave; "
         "absent: what the penalties leave",
     )
+    smoothing: bool = Field(
+        False,
+        description="facets of order 1 curved between their nodes, with a continuous normal; edges sharper than 50 "
+        "degrees stay",
+    )
     nodal_weight: Literal["area", "unit"] | None = Field(
         default_factory=lambda given: "area" if given.get("method") == "node" else None,
         description="method node only; unit: one spring per node with no area; default area",

@@ -50,13 +50,14 @@ SLAVE, MASTER = 0, 3
 class VisibleFacets:
     """Master facets that a rank can see, from every rank.
 
-    nodes (f, n) global, orientation (f,), key (f,), clump (f,).
+    nodes (f, n) global, orientation (f,), key (f,), clump (f,), rounding (f, k, d) as of `Surface`.
     """
 
     nodes: Integers
     orientation: Array
     key: Integers
     clump: Integers
+    rounding: Array
 
     def __len__(self) -> int:
         return len(self.nodes)

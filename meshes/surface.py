@@ -21,7 +21,8 @@ class Surface:
 
     nodes (f, n): local node (block) numbers of the function space. reference (f, n, d): coordinates in the
     undeformed state. orientation (f,): +1 or -1, the sign that turns the facet's normal outward. key (f,): a number
-    of the facet that does not depend on the partition. cells (f,): local cell.
+    of the facet that does not depend on the partition. cells (f,): local cell. rounding (f, k, d): of facets of order
+    1 taken for curved ones, where the k nodes lie that have no number; nodes are then their corners.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Surface:
     orientation: Array
     key: NDArray[np.int64]
     cells: NDArray[np.int32]
+    rounding: Array
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -67,7 +69,7 @@ def surface(space: Any, name: str, facets: NDArray[np.int32], order: int) -> Sur
     normal = facet_normal(tangents, np.ones(len(nodes)))
     orientation = np.where(np.einsum("md,md->m", normal, outward) > 0.0, 1.0, -1.0)
     key = fenicsx.original_cells(mesh)[cells] * 8 + places
-    return Surface(name, kind, nodes, reference, orientation, key, cells)
+    return Surface(name, kind, nodes, reference, orientation, key, cells, reference[:, :0])
 
 
 def multiplicity(space: Any, surface: Surface) -> Array:

@@ -58,7 +58,7 @@ def search(count: int) -> tuple[float, int]:
     inside = nodes.reshape(count, -1, 3).mean(axis=1)[fiber]
     raw = point_normals(kind, middle, nodes, np.ones(len(nodes)))
     sign = np.sign(np.einsum("md,md->m", raw, nodes.mean(axis=1) - inside))
-    own = VisibleFacets(np.arange(nodes[..., 0].size).reshape(-1, 4), sign, np.arange(len(nodes)), clump)
+    own = VisibleFacets(np.arange(nodes[..., 0].size).reshape(-1, 4), sign, np.arange(len(nodes)), clump, nodes[:, :0])
     began = process_time()
     visible = share_facets(MPI.COMM_SELF, nodes, clump, own, nodes, MARGIN, rule)
     facets, points, normals = nodes[visible.key], nodes.mean(axis=1), raw * sign[:, None]

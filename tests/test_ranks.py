@@ -129,6 +129,8 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "segments of order 2": lambda: halves({"method": "segment", "passes": 1}, "tensor", 2),
     "segments of tetrahedra": lambda: crossed({"method": "segment", "adhesion": CUTOFF}, 1, **floating()),
     "segments of bricks": lambda: bricks({"method": "segment", "passes": 1, "adhesion": BILINEAR}, 1),
+    "smoothed": lambda: halves({"method": "point", "smoothing": True, "adhesion": BILINEAR}, "simplex", 1),
+    "smoothed tetrahedra": lambda: crossed({"method": "point", "passes": 1, "smoothing": True}, 1, **floating()),
     "augmented": lambda: halves({"method": "segment", "augment": 3e-3, "adhesion": BILINEAR}, "simplex", 1),
     "augmented bricks": lambda: bricks({"method": "point", "augment": 1e-2}, 1),
     "multigrid": lambda: crossed(
