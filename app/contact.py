@@ -74,6 +74,7 @@ class Contact:
         self.margin = 0.0
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
         self.broken = False
+        self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
         self.cuts = any(p.segments for p in self.passes)
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
@@ -153,15 +154,18 @@ class Contact:
         longer, self._keep = self._keep > KEPT, min(self._keep, KEPT)
         return longer
 
-    def evaluate(self, state: PETSc.Vec, *, tangent: bool) -> ContactTerms:
-        """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer."""
+    def evaluate(self, state: PETSc.Vec, *, tangent: bool, search: bool = True) -> ContactTerms:
+        """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer.
+
+        Without `search` points that met nothing at the last evaluation meet nothing.
+        """
         values = self._gather(state)
         position = self._reference + values[:, : self.dim]
         displacement = values[:, : self.dim]
         motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
         moved, drift = reductions.largest(self.comm, np.array(motions))
         self.outgrown = moved > 0.5 * self.margin
-        self._search = not self._searched or drift > DRIFT * self._facet
+        self._search = search and (not self._searched or drift > DRIFT * self._facet)
         if self._search:
             self._searched, self._searched_at = True, displacement.copy()
         potentials = values[:, self.dim] if self.potential_scale is not None else None
@@ -239,7 +243,7 @@ class Contact:
 
     def _meet(self, p: PlanePass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
         facet, nodes, vectors, matrices = p.evaluate(
-            position, potentials, self.components, self.potential_scale, tangent
+            position, potentials, self.components, self.potential_scale, tangent=tangent, pulls=self.pulls
         )
         # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
         nodes, vectors = (
@@ -415,7 +419,7 @@ class Contact:
             p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
         shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
         p.gap = p.projection.gap + shift[0]
-        r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift)
+        r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift, pulls=self.pulls)
         if self._dragged:
             r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
             r.curvature = r.curvature + p.drag.stiffness[rows]

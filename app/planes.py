@@ -134,13 +134,20 @@ class PlanePass:
         self.met = np.arange(len(self.rows))
 
     def evaluate(
-        self, position: Array, potentials: Array | None, components: int, scale: float | None, tangent: bool
+        self,
+        position: Array,
+        potentials: Array | None,
+        components: int,
+        scale: float | None,
+        *,
+        tangent: bool,
+        pulls: bool,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array | None]:
         """Facet (k,), nodes (k, n), vectors (k, n, c) and matrices (k, n * c, n * c) of the points that answer.
 
         Of facets curved by `rounding` the nodes are the corners, the vectors and matrices those of all nodes.
 
-        potentials: the potential unknown at the nodes, which times `scale` is the potential.
+        potentials: the potential unknown at the nodes, which times `scale` is the potential. `pulls`: see the law.
         """
         rows, d = self.rows, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
@@ -156,7 +163,7 @@ class PlanePass:
                 self.jump = self.surface_potential - self.potential
         shift = self.shift.at(self.slave.kind, facet, self.points.xi[rows])
         self.gap = gap + shift[0]
-        r = self.response = respond(self.law[rows], gap, self.jump, self.history[rows], shift)
+        r = self.response = respond(self.law[rows], gap, self.jump, self.history[rows], shift, pulls=pulls)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)

@@ -110,13 +110,13 @@ class Problem:
         if self._matrix is not None:
             self._matrix.forget_pattern()
 
-    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
-        """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there."""
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec, *, search: bool = True) -> None:
+        """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there. search: see `Contact`."""
         with self.timer("assembly"):
             self._bulk_residual(x)
         if self.contact is not None:
             with self.timer("contact"):
-                terms = self.contact.evaluate(x, tangent=False)
+                terms = self.contact.evaluate(x, tangent=False, search=search)
                 self.contact.add_residual(terms, self.full)
                 if self.contact.broken:
                     self.full.set(np.nan)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import fenicsx
@@ -24,6 +25,8 @@ SLOPE_REDUCTION = 0.5  # share of the first slope at which a line search is cont
 LINE_SEARCHES = 30
 UPHILL_GROWTH = 10.0  # how much a step that leads uphill may increase the residual
 SHORTEST_STEP = 1e-3
+JUMP = 1e-2  # share of a step within which a line search leaves a jump of the slope
+PULLING = 1e-3  # of the forces: out of balance by less, floating bodies feel how the electric contact pulls
 REFINEMENTS = 5  # of a linear solve
 CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
 SPRINGS = tuple(10.0**power for power in range(7, -1, -1))  # factors by which those springs are stronger at first
@@ -127,6 +130,9 @@ class Newton:
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem
         self._reference[:] = 0.0
+        if problem.contact is not None:
+            # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
+            problem.contact.pulls = not (problem.floats and problem.model.electric)
         self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)
@@ -245,14 +251,20 @@ class Newton:
             if abs(slope) <= SLOPE_REDUCTION * -slope_here:
                 break
             low, high = (low, (length, slope)) if slope > 0.0 else ((length, slope), high)
+            length = high[0]
+            if high[0] - low[0] < JUMP:
+                break
         step.scale(length)
 
     def _try(self, x: PETSc.Vec, step: PETSc.Vec, length: float) -> None:
-        """Residual at x - length * step, which SNES will ask for next if it takes that step."""
+        """Residual at x - length * step, which SNES will ask for next if it takes that step.
+
+        Points find what they meet at the whole step alone: on the way there the slope must not jump where they do.
+        """
         step.copy(self._change)
         self._change.aypx(-length, x)
-        self.problem.residual(self._change, self._trial)
-        self._trial_is_next = True
+        self._trial_is_next = length == 1.0
+        self.problem.residual(self._change, self._trial, search=self._trial_is_next)
 
     def _slope(self, residual: PETSc.Vec, step: PETSc.Vec) -> float:
         d = self.problem.displacements
@@ -272,7 +284,12 @@ class Newton:
         if contact is not None and contact.outgrown:
             self._repair = True
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
-        ratio = self._relative(snes.getFunction()[0])
+        residual = snes.getFunction()[0]
+        ratio = self._relative(residual)
+        if contact is not None and not contact.pulls and self._relatives(residual)[0] <= PULLING:
+            contact.pulls = True
+            self.problem.residual(snes.getSolution(), residual)
+            ratio = self._relative(residual)
         self._report.residuals.append(ratio)
         if not np.isfinite(ratio):
             return fenicsx.NOT_A_NUMBER
@@ -283,7 +300,11 @@ class Newton:
         return PETSc.SNES.ConvergedReason.ITERATING
 
     def _relative(self, residual: PETSc.Vec) -> float:
-        """Largest of the fields' residuals over their reference: outer forces and the step's out-of-balance forces.
+        """Largest of the fields' relative residuals."""
+        return float(self._relatives(residual).max())
+
+    def _relatives(self, residual: PETSc.Vec) -> NDArray[np.float64]:
+        """Each field's residual over its reference: outer forces and the step's out-of-balance forces.
 
         What rounding alone makes of the largest forces that the model could carry is left out of account.
         """
@@ -292,7 +313,7 @@ class Newton:
         forces = np.maximum(self._reference, problem.outer_forces())
         forces = np.maximum(forces, FIELD_FLOOR * forces.max())
         rounding = 2.0 * np.finfo(float).eps * problem.largest_force
-        return float((np.maximum(norms - rounding, 0.0) / np.maximum(forces, rounding)).max())
+        return np.maximum(norms - rounding, 0.0) / np.maximum(forces, rounding)
 
     def _refine(self, report: NewtonReport) -> None:
         """Repeat a linear solve on what its residual leaves, as a Krylov solver or a bad condition may ask for."""

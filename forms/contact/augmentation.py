@@ -62,11 +62,17 @@ def corner_kind(kind: FacetKind) -> FacetKind:
 
 
 def respond(
-    law: InterfaceLaw, gap: Array, jump: Array | None, history: History, shift: tuple[Array, Array]
+    law: InterfaceLaw,
+    gap: Array,
+    jump: Array | None,
+    history: History,
+    shift: tuple[Array, Array],
+    *,
+    pulls: bool = True,
 ) -> Response:
     """The law's response with multipliers: derivatives of its enthalpy less what the multipliers store, pJ/um2."""
     more_gap, more_jump = shift
-    r = law.respond(gap + more_gap, None if jump is None else jump + more_jump, history)
+    r = law.respond(gap + more_gap, None if jump is None else jump + more_jump, history, pulls=pulls)
     r.contact = r.contact - 0.5 * law.penalty * more_gap**2
     if jump is not None and law.electric_penalty is not None:
         r.electric = r.electric - 0.5 * law.electric_penalty * more_jump**2
