@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from app import reductions
 from app.contact_pass import ContactPass, Pairs
+from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
 from forms.contact.augmentation import corner_kind, respond, together
 from forms.contact.facets import FacetKind
@@ -23,7 +24,7 @@ from forms.contact.laws import Drag, Response
 from forms.contact.smoothing import to_corners
 from meshes.crowd import Meetings, VisibleFacets, share_facets
 from meshes.overlap import deepest_overlap
-from meshes.pairing import closest_facets, may_touch, near_points, point_normals
+from meshes.pairing import near_points
 
 Array = NDArray[np.float64]
 
@@ -31,10 +32,6 @@ log = logging.getLogger("piezomat")
 
 # Points that meet nothing are looked at again once a surface has moved by this share of a facet since the last time.
 DRIFT = 0.05
-# A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
-# the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
-KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
-KEPT = 0.1  # and at the end of a solve by this share at most
 # Relative residual below which the tangent knows that tractions turn with their facets. Far from equilibrium tractions
 # are wrong by much more than they are worth, and those terms, of either sign, make the tangent indefinite.
 TURNING = 1e-2
@@ -113,7 +110,7 @@ class Contact:
         self._scatter(state)
         values = self._gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
-        self._searched = False
+        self._searched, self._partners_at = False, None
         position = self._reference + values[:, : self.dim]
         for p in self.passes:
             p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
@@ -125,6 +122,7 @@ class Contact:
             self._meet_clumps(p, points, p.master_at(position), margin)
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
+            p.found_beyond = np.zeros(len(p.rows))
         for p in self.planes:
             p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
             p.look(position, margin)
@@ -152,6 +150,7 @@ class Contact:
     def release(self) -> bool:
         """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""
         longer, self._keep = self._keep > KEPT, min(self._keep, KEPT)
+        self._partners_at = None
         return longer
 
     def evaluate(self, state: PETSc.Vec, *, tangent: bool, search: bool = True) -> ContactTerms:
@@ -165,16 +164,23 @@ class Contact:
         motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
         moved, drift = reductions.largest(self.comm, np.array(motions))
         self.outgrown = moved > 0.5 * self.margin
-        self._search = search and (not self._searched or drift > DRIFT * self._facet)
-        if self._search:
+        everywhere = search and (not self._searched or drift > DRIFT * self._facet)
+        if everywhere:
             self._searched, self._searched_at = True, displacement.copy()
+        # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
+        # ask for what may soon touch.
+        reach = max(self.reach + 2.0 * DRIFT * self._facet, 0.5 * self.least_margin())
+        self._search = Search(self._keep, everywhere, reach, 2.0 * self.margin, 2.0 * self.last_penetration)
+        # A tangent is mostly asked for where the residual was evaluated last: partners and projections are at hand.
+        self._same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
+        self._partners_at = position
         potentials = values[:, self.dim] if self.potential_scale is not None else None
         try:
             terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
             terms += [self._meet(p, position, potentials, tangent) for p in self.planes]
         except (np.linalg.LinAlgError, ValueError) as error:
             log.debug("contact cannot be evaluated at this state: %s", error)
-            terms = None
+            terms = self._partners_at = None
         # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
         self.broken = self.comm.allreduce(terms is None, op=MPI.LOR)
         if self.broken:
@@ -402,14 +408,16 @@ class Contact:
         kind = p.slave.kind
         slave = p.slave_nodes[p.points.facet[p.rows]]
         points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
-        self._partners(p, points, position)
-        p.met = np.flatnonzero(p.facet >= 0)
+        if not self._same:
+            find_partners(p, points, position, self._search)
+            p.met = np.flatnonzero(p.facet >= 0)
         p.position = points[p.met]
         facet, rows = p.facet[p.met], p.rows[p.met]
         master = p.master_nodes[facet]
-        masters = p.master_at(position, facet)
-        p.projection = project(kind, points[p.met], masters, p.visible.orientation[facet], p.xi[p.met])
-        p.xi[p.met] = p.projection.xi
+        if not self._same:
+            masters = p.master_at(position, facet)
+            p.projection = project(kind, points[p.met], masters, p.visible.orientation[facet], p.xi[p.met])
+            p.xi[p.met] = p.projection.xi
         slave, shape = slave[p.met], p.points.shape[rows]
         p.jump = None
         law, scale = p.law[rows], self.potential_scale
@@ -447,50 +455,6 @@ class Contact:
         terms = _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
         own, other = np.divmod(np.unique(pair_of_facets), max(len(p.visible), 1))
         return _to_corners(kind, terms, p.slave.rounding[own], p.visible.rounding[other])
-
-    def _partners(self, p: ContactPass, points: Array, position: Array) -> None:
-        """Keep each point's master facet as long as it projects onto it, and search for the others."""
-        kind = p.slave.kind
-        lost = (p.facet < 0) & self._search
-        have = np.flatnonzero(p.facet >= 0)
-        if len(have):
-            facet = p.facet[have]
-            nodes = p.master_at(position, facet)
-            xi = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have]).xi
-            p.xi[have] = xi
-            lost[have[kind.overshoot(xi) > self._keep]] = True
-        if not lost.any():
-            return
-        own = p.points.facet[p.rows]
-        normals = point_normals(kind, p.points.xi[p.rows], p.slave_at(position, own), p.slave.orientation[own])
-        p.facet[lost] = -1
-        least = np.full(len(p.rows), np.inf)
-        # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
-        # ask for what may soon touch.
-        reach = max(p.law.reach + 2.0 * DRIFT * self._facet, 0.5 * self.least_margin())
-        for near, facets in zip(p.meetings.points, p.meetings.facets, strict=True):
-            tried = near[lost[near]]
-            if not len(tried):
-                continue
-            nodes, orientation = p.master_at(position, facets), p.visible.orientation[facets]
-            tried = tried[may_touch(kind, points[tried], normals[tried], nodes, orientation, reach)]
-            found, xi = closest_facets(
-                kind,
-                points[tried],
-                normals[tried],
-                nodes,
-                orientation,
-                p.visible.key[facets],
-                2.0 * self.margin,
-                max(p.depth, 2.0 * self.last_penetration),
-            )
-            met = np.flatnonzero(found >= 0)
-            tried, found, xi = tried[met], found[met], xi[met]
-            # Of several bodies a point meets the one that it is deepest in, or nearest to.
-            gap = project(kind, points[tried], nodes[found], orientation[found], xi).gap
-            nearer = gap < least[tried]
-            tried = tried[nearer]
-            least[tried], p.facet[tried], p.xi[tried] = gap[nearer], facets[found[nearer]], xi[nearer]
 
     def _scatter(self, state: PETSc.Vec) -> None:
         bs = self.components
