@@ -34,7 +34,7 @@ class Condensation:
         self.block = problem.model.block
         self.candidates = np.zeros(0, np.int64)
         # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz).
-        self._ahead = 0.5 * (problem.model.largest_motion() or problem.contact.least_margin())
+        self._ahead = problem.contact.ahead = 0.5 * (problem.model.largest_motion() or problem.contact.least_margin())
         self._of = -1
         self._factor: SchurFactor | None = None
         self._parts()

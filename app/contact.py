@@ -69,6 +69,7 @@ class Contact:
         self.components = space.dofmap.index_map_bs
         self.potential_scale = potential_scale
         self.margin = 0.0
+        self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
         self.broken = False
         self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
@@ -363,8 +364,11 @@ class Contact:
         return self.comm.allreduce(most + 1, op=MPI.MAX)
 
     def least_margin(self) -> float:
-        """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration."""
-        return 2.0 * self._facet + self.reach + 4.0 * self.last_penetration
+        """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration.
+
+        And twice as far as `ahead`, if a solver asks for all that may soon touch.
+        """
+        return max(2.0 * self._facet + self.reach + 4.0 * self.last_penetration, 2.0 * self.ahead)
 
     def overlap(self) -> float:
         """How deep slave surfaces lie inside the master's bodies at the state of the last pairing, um."""

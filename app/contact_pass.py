@@ -54,9 +54,10 @@ class ContactPass:
     A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by the
     clumps of the slave's facets (f,) and of the master's which of them may meet. `share` is the pass's share of the
     contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the points near the master, `facet` and
-    `xi` their partners in `visible` and where, and `found_beyond` the share of a facet by which a point was beyond its
-    partner when that was found; the last evaluation is kept, with `force` and `position` (m, d) of the
-    points that met a facet, and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`.
+    `xi` their partners in `visible` and where, and `found_beyond` the share of a facet by which a point that
+    did not touch was beyond its partner when that was found; the last evaluation is kept, with `force` and `position`
+    (m, d) of the points that met a facet, and `gap` (m,), which the law sees: that of `projection` and the
+    multipliers' `shift`.
     size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
     its far side and meets nothing.
 

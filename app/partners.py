@@ -48,7 +48,7 @@ def find_partners(p: ContactPass, points: Array, position: Array, search: Search
         nodes = p.master_at(position, facet)
         xi = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have]).xi
         p.xi[have] = xi
-        # At a convex edge the nearest facet may be one that the point is beyond already: it leaves from there.
+        # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
         left = np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT)
         lost[have[kind.overshoot(xi) > np.maximum(search.keep, left)]] = True
     if lost.any():
@@ -88,4 +88,4 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.i
         nearer = gap < least[tried]
         tried = tried[nearer]
         least[tried], p.facet[tried], p.xi[tried] = gap[nearer], facets[found[nearer]], xi[nearer]
-        p.found_beyond[tried] = kind.overshoot(xi[nearer])
+        p.found_beyond[tried] = np.where(gap[nearer] > p.law.reach, kind.overshoot(xi[nearer]), 0.0)

@@ -203,10 +203,14 @@ class Newton:
         ksp = self.snes.getKSP()
         ksp.setOperators(*self._operators)
         tolerance = self.linear.close_tolerance if closely else self.linear.start_tolerance
+        inexact = self.snes.getUseEW()
         if tolerance is not None:
+            # Eisenstat and Walker's rule is for Newton's steps, and would have its say here too.
+            self.snes.setUseEW(False)
             ksp.setTolerances(rtol=tolerance)
         with problem.timer("linear_solve"):
             ksp.solve(self._right, self._change)
+        self.snes.setUseEW(inexact)
         self._check_ksp(ksp)
         problem.state.axpy(1.0, self._change)
         problem.state.array[fixed] = problem.targets
