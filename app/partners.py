@@ -59,9 +59,7 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.i
     kind = p.slave.kind
     own = p.points.facet[p.rows[lost]]
     normals = np.zeros_like(points)
-    normals[lost] = point_normals(
-        kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own]
-    )
+    normals[lost] = point_normals(kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own])
     p.facet[lost] = -1
     least = np.full(len(p.rows), np.inf)
     is_lost = np.isin(np.arange(len(p.rows)), lost)
