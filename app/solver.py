@@ -22,6 +22,7 @@ log = logging.getLogger("piezomat")
 PREFIXES = (f"piezomat{number}_" for number in itertools.count())  # one run's options are not the next one's
 FIELD_FLOOR = 1e-3  # a field's residual is measured against at least this share of the other field's forces
 SLOPE_REDUCTION = 0.5  # share of the first slope at which a line search is content
+CONVERGING = 0.1  # share of the residual that a whole step leaves at most if it is taken without a look at the slope
 LINE_SEARCHES = 30
 UPHILL_GROWTH = 10.0  # how much a step that leads uphill may increase the residual
 SHORTEST_STEP = 1e-3
@@ -132,7 +133,7 @@ class Newton:
         self._reference[:] = 0.0
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
-            problem.contact.pulls = not (problem.floats and problem.model.electric)
+            problem.contact.pulls = not (problem.model.floating[:, 0].any() and problem.model.electric)
         self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)
@@ -231,11 +232,14 @@ class Newton:
         displacements where adhesion does not soften, so the place where its slope along the step vanishes is found by
         safeguarded secants on the displacements' part of residual . step; a step that ends before it is left alone.
         A step that leads uphill, where the tangent is not positive, is halved until the residual is not much larger.
+        Near the solution slopes are rounding: a whole step that leaves little of the residual is taken as it is.
         """
         self._linear_solve.close()
         slope_here = -self._slope(self._residual, step)
         self._try(x, step, 1.0)
         slope = -self._slope(self._trial, step)
+        if self._trial.norm() <= CONVERGING * self._residual.norm():
+            return
         if slope_here >= 0.0:
             length, bound = 1.0, UPHILL_GROWTH * self._residual.norm()
             while self._trial.norm() > bound and length > SHORTEST_STEP:
