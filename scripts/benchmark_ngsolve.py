@@ -1,17 +1,21 @@
 """The benchmark's two fibers in NGSolve: python benchmark_ngsolve.py MESH.msh (ASCII MSH 2.2), one JSON line.
 
-Written as its documentation teaches contact, plus what it needs to be quick here: the pairing is frozen after three
-iterations and each step starts from an extrapolation. The whole tangent is assembled and factorized in every
-iteration (sparse Cholesky); keeping a factorization as preconditioner, and PARDISO in 3D, would make it faster.
+At its best setting: the bulk is assembled once, pairing and normals are frozen after five iterations of a step, each
+step starts from an extrapolation, and GMRES takes a factorization as its preconditioner that is kept until it serves no
+longer: NGSolve's sparse Cholesky, faster than its PARDISO (pip install mkl) at 79,000 unknowns in 3D both to factorize
+(18 s against 26 s) and to solve. The law of the contact is piezomat's: the same penalties, the same fading of the
+electric contact over RANGE, the master's normal. Not equal: derivatives of the closest point are left out.
 """
 
 # Runs in a Python without piezomat's packages.
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from math import sqrt
 
+import numpy as np
 from netgen.read_gmsh import ReadGmsh
 from ngsolve import (
     BND,
@@ -30,7 +34,6 @@ from ngsolve import (
     SetNumThreads,
     Sym,
     Trace,
-    Variation,
     VectorH1,
     dx,
     grad,
@@ -38,39 +41,67 @@ from ngsolve import (
     y,
     z,
 )
+from ngsolve.la import GMRESSolver, SparseMatrixd
 
 YOUNG, POISSON, PERMITTIVITY = 2500.0, 0.3, 12 * 8.8541878128e-6
 E31, E32, E33 = 0.0307692, -0.0057692, -0.075
-NORMAL, ELECTRIC, APPROACH, STEPS = 1e5, 0.1, 0.05, 5
-TOLERANCE, FROZEN = 1e-8, 3
+RANGE, APPROACH, STEPS = 0.002, 0.05, 5
+TOLERANCE, FROZEN = 1e-8, 5
+KRYLOV, STALE = 1e-4, 30  # tolerance of GMRES; iterations beyond which the next one factorizes anew
 
+given = argparse.ArgumentParser()
+given.add_argument("mesh")
+given.add_argument("--normal", type=float, default=1e5)
+given.add_argument("--electric", type=float, default=0.1)
+given = given.parse_args()
 SetNumThreads(1)
 sys.stdout, stdout = sys.stderr, sys.stdout  # ReadGmsh prints
-mesh = Mesh(ReadGmsh(sys.argv[1]))
+mesh = Mesh(ReadGmsh(given.mesh))
 dim = mesh.dim
 scale = sqrt(YOUNG / PERMITTIVITY)
 space = VectorH1(mesh, order=1, dirichlet="bottom|top") * H1(mesh, order=1, dirichlet="bottom")
-u, p = space.TrialFunction()
-strain, field = Sym(Grad(u)), -scale * grad(p)
+(u, p), (v, q) = space.TnT()
+
+
+def polarization(strain):
+    """Along the axis of poling, of a strain."""
+    axes = ((0, E31), (1, E33)) if dim == 2 else ((0, E31), (1, E32), (2, E33))
+    return sum(e * strain[i, i] for i, e in axes)
+
+
 lame, shear = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)), YOUNG / (2 * (1 + POISSON))
-axes = ((0, E31), (1, E33)) if dim == 2 else ((0, E31), (1, E32), (2, E33))
-polarization = sum(e * strain[i, i] for i, e in axes)
-enthalpy = 0.5 * lame * Trace(strain) ** 2 + shear * InnerProduct(strain, strain)
-enthalpy += -field[dim - 1] * polarization - 0.5 * PERMITTIVITY * InnerProduct(field, field)
-form = BilinearForm(space, symmetric=True)
-form += Variation(enthalpy * dx)
+strain, field, strain_v, field_v = Sym(Grad(u)), -scale * grad(p), Sym(Grad(v)), -scale * grad(q)
+enthalpy = lame * Trace(strain) * Trace(strain_v) + 2 * shear * InnerProduct(strain, strain_v)
+enthalpy -= field[dim - 1] * polarization(strain_v) + field_v[dim - 1] * polarization(strain)
+enthalpy -= PERMITTIVITY * InnerProduct(field, field_v)
+bulk = BilinearForm(enthalpy * dx).Assemble()
+
+touch = BilinearForm(space, check_unused=False)
 contact = ContactBoundary(mesh.Boundaries("lower_contact"), mesh.Boundaries("upper_contact"))
 position = CoefficientFunction((x, y) if dim == 2 else (x, y, z))
-overlap = (position + u - position.Other() - u.Other()) * contact.normal
+gap = (position + u - position.Other() - u.Other()) * contact.normal.Other()
 jump = scale * (p - p.Other())
-contact.AddEnergy(IfPos(overlap, 0.5 * NORMAL * overlap * overlap - 0.5 * ELECTRIC * jump * jump, 0))
+away = gap / RANGE
+fading = IfPos(away, IfPos(1 - away, 1 - away * away * (3 - 2 * away), 0), 1)
+contact.AddEnergy(IfPos(gap, 0, 0.5 * given.normal * gap * gap) - 0.5 * given.electric * fading * jump * jump)
+
+
+def factorized():
+    """The inverse of the whole tangent."""
+    rows, columns, values = (
+        np.concatenate([np.asarray(a), np.asarray(b)]) for a, b in zip(bulk.mat.COO(), touch.mat.COO(), strict=True)
+    )
+    whole = SparseMatrixd.CreateFromCOO(rows, columns, values, space.ndof, space.ndof)
+    return whole.Inverse(space.FreeDofs(), inverse="sparsecholesky")
+
 
 state = GridFunction(space)
+paired = GridFunction(space.components[0])  # where pairing and normals are
 residual, change, last, before = (state.vec.CreateVector() for _ in range(4))
 last[:] = 0
 top = mesh.Boundaries("top")
 free = Projector(space.FreeDofs(), True)
-iterations = []
+iterations, krylov, factorizations, inverse = [], 0, 0, None
 for step in range(1, STEPS + 1):
     before.data = state.vec
     if step > 1:
@@ -80,27 +111,39 @@ for step in range(1, STEPS + 1):
     state.components[0].Set(down, definedon=top)
     for iteration in range(25):
         if iteration < FROZEN:
-            contact.Update(state.components[0], form, intorder=2, maxdist=2 * APPROACH)
-        form.Apply(state.vec, residual)
+            paired.vec.data = state.components[0].vec
+            contact.Update(paired, touch, intorder=2, maxdist=APPROACH)
+        touch.Apply(state.vec, residual)
+        residual.data += bulk.mat * state.vec
         change.data = residual
         free.Project(change)
         reactions = Norm(residual - change)
         if iteration > 0 and Norm(change) <= TOLERANCE * reactions:
             break
-        form.AssembleLinearization(state.vec)
-        inverse = form.mat.Inverse(space.FreeDofs(), inverse="sparsecholesky")
-        change.data = inverse * residual
+        touch.AssembleLinearization(state.vec)
+        if inverse is None:
+            inverse = factorized()
+            factorizations += 1
+        solver = GMRESSolver(mat=bulk.mat + touch.mat, pre=inverse, printrates=False, tol=KRYLOV, maxiter=200)
+        residual.data = change
+        change.data = solver * residual
+        krylov += solver.GetSteps()
+        if solver.GetSteps() > STALE:
+            inverse = None
         state.vec.data -= change
     else:
         sys.exit(f"step {step} did not converge")
     iterations.append(iteration)
-form.Apply(state.vec, residual)
+touch.Apply(state.vec, residual)
+residual.data += bulk.mat * state.vec
 unit = GridFunction(space)
 unit.components[0].Set(CoefficientFunction((0,) * (dim - 1) + (1,)), definedon=top)
 area = Integrate(CoefficientFunction(1), mesh, BND, definedon=top)
 answer = {
     "unknowns": space.ndof,
     "newton": iterations,
+    "krylov": krylov,
+    "factorizations": factorizations,
     "force": InnerProduct(residual, unit.vec),
     "potential": scale * Integrate(state.components[1], mesh, BND, definedon=top) / area,
 }
