@@ -5,6 +5,9 @@ With K the constant part of the tangent and C the contact's part, which lives on
     (K + C) x = r   is   (S + C) x_c = r_c - K_ci K_ii^-1 r_i,   S = K_cc - K_ci K_ii^-1 K_ic,
 
 and then x_i follows from x_c. Bodies do not share nodes: each is factorized by itself, on one rank.
+
+Where the inside is in equilibrium, Newton's method needs x_c alone: the residual at the candidates changes by S times
+their change, and the inside follows once, when the iterations have ended.
 """
 
 from __future__ import annotations
@@ -35,18 +38,29 @@ class Condensation:
         self.candidates = np.zeros(0, np.int64)
         # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz).
         self._ahead = problem.contact.ahead = 0.5 * (problem.model.largest_motion() or problem.contact.least_margin())
+        self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
+        self._base: PETSc.Vec | None = None
         self._of = -1
         self._factor: SchurFactor | None = None
         self._parts()
-        self._here = PETSc.IS().createGeneral(_unknowns(self._nodes, self.block), comm=MPI.COMM_SELF)
+        unknowns = _unknowns(self._nodes, self.block)
+        self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
+        self._here = PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF)
         self._local = PETSc.Vec().createSeq(self._here.getSize(), comm=MPI.COMM_SELF)
         self._exchange = PETSc.Scatter().create(problem.state, self._here, self._local, None)
 
     def update(self, limit: float) -> bool:
-        """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns."""
+        """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns.
+
+        While the inside is held, contact beyond the candidates is left out, and `outgrown` says so.
+        """
         nodes, matrices = self.problem.contact_terms()
-        outgrown = self.comm.allreduce(not np.isin(nodes, self.candidates).all(), op=MPI.LOR)
-        if outgrown or self._of != self.problem.renewals:
+        inside = np.isin(nodes, self.candidates).all(axis=1)
+        outgrown = self.comm.allreduce(not inside.all(), op=MPI.LOR)
+        if self._base is not None:
+            self.outgrown = self.outgrown or outgrown
+            nodes, matrices = nodes[inside], matrices[inside]
+        elif outgrown or self._of != self.problem.renewals:
             wanted = np.union1d(nodes, self.problem.contact.reserve(self._ahead))
             candidates = np.unique(np.concatenate([self.candidates, *self.comm.allgather(wanted)]))
             if len(candidates) * self.block > limit:
@@ -72,11 +86,11 @@ class Condensation:
             # Parts that only contact holds leave K singular: springs of the bulk's own stiffness are added at the
             # candidates, and taken away from S. The potential's block is negative.
             diagonal = matrix.getDiagonal()
-            shift = diagonal.array_r[self._places].copy()
-            diagonal.array[self._places] += shift
+            self._shift = diagonal.array_r[self._places].copy()
+            diagonal.array[self._places] += self._shift
             matrix.setDiagonal(diagonal)
             self._factor = SchurFactor(matrix, self._places.astype(np.int32))
-            reduced = self._factor.complement - np.diag(shift)
+            reduced = self._factor.complement - np.diag(self._shift)
         unknowns = _unknowns(candidates, b)
         self._own = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._places])
         self._free = ~np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
@@ -106,17 +120,65 @@ class Condensation:
             tangent.reshape(-1)[where[free]] += what[free]
         self._lu = scipy.linalg.lu_factor(tangent, overwrite_a=True, check_finite=False)
 
-    def solve(self, right: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = (K + C)^-1 right; not numbers where the tangent is singular."""
-        self._exchange.scatter(right, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-        r = self._local.array.copy()
-        outer = r[self._places]
-        condensed = outer
+    def hold(self, x: PETSc.Vec) -> None:
+        """If the inside is in equilibrium at x, leave it there: from here on states are told by the candidates."""
+        if self._base is not None:
+            return
+        residual = self.problem.bulk_residual(x)
+        r = self._take(residual)
+        scale = np.abs(r).max(initial=0.0)
+        r[self._fixed] = 0.0
+        if self._balanced(r, scale):
+            self._base, self._base_residual = self._take(x), residual
+            self.outgrown, self.problem.condensed = False, self
+
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Residual of the bulk at x, were its inside in equilibrium; at fixed unknowns still that of `hold`."""
+        self._base_residual.copy(result)
+        change = (self._take(x) - self._base)[self._places]
+        added = np.zeros_like(self._base)
+        if self._factor is not None:
+            added[self._places] = self._factor.complement @ change - self._shift * change
+        self._give(added, result)
+
+    def complete(self, x: PETSc.Vec) -> bool:
+        """Let the inside of x, left behind by `hold`, follow; whether contact has spread beyond the candidates."""
+        if self._base is None:
+            return False
+        change = self._take(x) - self._base
+        if self._factor is not None:
+            change[self._places] = self._factor.complement @ change[self._places]
+            change = self._factor.solve(change)
+            change[self._places] = 0.0
+        self._give(change, x)
+        self._base = self.problem.condensed = None
+        spread, self.outgrown = self.outgrown, False
+        return spread
+
+    def _take(self, vector: PETSc.Vec) -> Array:
+        """What a vector holds of the parts that are this rank's."""
+        self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+        return self._local.array.copy()
+
+    def _give(self, values: Array, result: PETSc.Vec) -> None:
+        """Add values of the parts that are this rank's to a vector."""
+        self._local.array[:] = values
+        self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+
+    def _balanced(self, r: Array, scale: float) -> bool:
+        """Whether no more of r is inside than what is rounding against `scale`."""
         inner = r.copy()
         inner[self._places] = 0.0
-        here = np.array([np.abs(inner).max(initial=0.0), np.abs(r).max(initial=0.0)])
-        norms = reductions.largest(self.comm, here)
-        if norms[0] > INTERIOR * norms[1] and self._factor is not None:
+        norms = reductions.largest(self.comm, np.array([np.abs(inner).max(initial=0.0), scale]))
+        return bool(norms[0] <= INTERIOR * norms[1])
+
+    def solve(self, right: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = (K + C)^-1 right, at the candidates alone while the inside is held; not numbers where singular."""
+        r = self._take(right)
+        outer = r[self._places]
+        condensed = outer
+        balanced = self._base is not None or self._balanced(r, np.abs(r).max(initial=0.0))
+        if not balanced and self._factor is not None:
             condensed = self._factor.complement @ self._factor.solve(r)[self._places]
         gathered = self.comm.gather((self._own, condensed))
         whole = None
@@ -127,11 +189,14 @@ class Condensation:
             if self._lu is not None:
                 whole = scipy.linalg.lu_solve(self._lu, whole, check_finite=False)
         change = self.comm.bcast(whole)[self._own]
-        if self._factor is not None:
+        if self._base is not None:
+            r[:] = 0.0
+            r[self._places] = change
+        elif self._factor is not None:
             r[self._places] = self._factor.complement @ change + outer - condensed
-            self._local.array[:] = self._factor.solve(r)
+            r = self._factor.solve(r)
         result.set(0.0)
-        self._exchange.scatter(self._local, result, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.REVERSE)
+        self._give(r, result)
 
     def _parts(self) -> None:
         """Give whole parts to ranks, the largest first to the one with the least; their nodes, sorted."""

@@ -73,7 +73,7 @@ class Direct:
         self.problem = problem
         own_choice = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
         constant = problem.contact is not None and not problem.finite and problem.symmetric
-        self._condensation = Condensation(problem) if constant and not own_choice else None
+        self.condensation: Condensation | None = Condensation(problem) if constant and not own_choice else None
         self._operator = _Operator(problem)
         self._matrix: PETSc.Mat | None = None
 
@@ -90,7 +90,7 @@ class Direct:
         """Set up SNES's Krylov solver."""
         ksp.setType(PETSc.KSP.Type.PREONLY)
         self._pc = ksp.getPC()
-        if self._condensation is not None:
+        if self.condensation is not None:
             self._pc.setType(PETSc.PC.Type.PYTHON)
             self._pc.setPythonContext(self)
         else:
@@ -99,13 +99,13 @@ class Direct:
     def linearize(self, x: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Take up the tangent at x: the operator, and what its preconditioner is made from."""
         self.problem.linearize(x)
-        if self._condensation is not None:
+        if self.condensation is not None:
             with self.problem.timer("linear_solve"):
                 share = max(CONDENSED_SHARE * self.problem.model.unknowns, CONDENSED_ALWAYS)
-                few = self._condensation.update(min(CONDENSED_LIMIT, share))
+                few = self.condensation.update(min(CONDENSED_LIMIT, share))
             if few:
                 return self._operator.matrix, self._operator.matrix
-            self._condensation = None
+            self.condensation = None
             self._factorize_all()
         # SNES still holds the matrix of an old pattern while it asks for the new one.
         self._last, (self._matrix, _) = self._matrix, self.problem.tangent()
@@ -113,7 +113,7 @@ class Direct:
 
     def apply(self, pc: PETSc.PC, right: PETSc.Vec, result: PETSc.Vec) -> None:
         """Solve the condensed system: PETSc's shell preconditioner, an exact one."""
-        self._condensation.solve(right, result)
+        self.condensation.solve(right, result)
 
     def _factorize_all(self) -> None:
         # LDL^T of the symmetric tangent takes half the work of LU; both can pivot on its negative block.
@@ -129,6 +129,7 @@ class Multigrid:
     """
 
     failure = ""
+    condensation = None
     start_tolerance: float | None = START_TOLERANCE
     close_tolerance: float | None
 

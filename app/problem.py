@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import dolfinx
 import dolfinx.fem.petsc
@@ -25,6 +25,13 @@ Array = NDArray[np.float64]
 # Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
 GROUNDING = 1e-8
 ROUNDING = 1e-12  # of the potential of a strain of one
+
+
+class CondensedBulk(Protocol):
+    """A bulk that is told by some of its unknowns, the others being in equilibrium."""
+
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Residual of the bulk at x."""
 
 
 class Problem:
@@ -51,6 +58,7 @@ class Problem:
             self._assemble_bulk()
             self._ground()
         self._matrix: TangentMatrix | None = None
+        self.condensed: CondensedBulk | None = None  # what tells the bulk's residual, where it is not the matrix
         self.renewals = 0  # how often bulk and grounding have changed
         self.full = self.state.duplicate()  # residual with the reactions of what is fixed
         self._loads = self.state.duplicate()
@@ -320,7 +328,15 @@ class Problem:
             self._assemble_bulk()
             self._renew()
 
+    def bulk_residual(self, x: PETSc.Vec) -> PETSc.Vec:
+        """Residual at x of all but contact, with the reactions of what is fixed."""
+        self._bulk_residual(x)
+        return self.full.copy()
+
     def _bulk_residual(self, x: PETSc.Vec) -> None:
+        if self.condensed is not None:
+            self.condensed.residual(x, self.full)
+            return
         if self.finite:
             self._set_state(x)
             self._assemble_into(self.full, self._residual_form)

@@ -146,6 +146,8 @@ class Newton:
                 self.snes.solve(None, problem.state)
             report.iterations += self.snes.getIterationNumber()
             report.krylov += self.snes.getLinearSolveIterations()
+            if not self._complete():
+                continue
             if not self._repair:
                 self._check(self.snes.getConvergedReason())
                 penetration = problem.contact.penetration() if problem.contact else 0.0
@@ -167,6 +169,20 @@ class Newton:
                 raise SolveError("a body flies away: it moves by more than its size in one step")
             problem.pair(margin)
         raise SolveError("the contact surfaces kept moving further than the contact search had looked")
+
+    def _complete(self) -> bool:
+        """Let what a condensation has left behind follow; whether the solve has ended there for good."""
+        problem, condensation = self.problem, self.linear.condensation
+        if condensation is None:
+            return True
+        with problem.timer("linear_solve"):
+            spread = condensation.complete(problem.state)
+        if spread:
+            return False
+        converged = self.snes.getConvergedReason() > 0
+        if converged:
+            problem.residual(problem.state, self._residual)
+        return not converged or self._relative(self._residual) <= self.keys.tolerance
 
     def _polish(self, report: NewtonReport) -> None:
         """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
@@ -282,6 +298,8 @@ class Newton:
         if self.problem.contact is not None:
             self.problem.contact.settle(snes.getIterationNumber(), self._report.residuals[-1])
         self._operators = self.linear.linearize(x)
+        if self.linear.condensation is not None:
+            self.linear.condensation.hold(x)
         if [matrix.handle for matrix in self._operators] != [a.handle, p.handle]:
             snes.setJacobian(self._tangent, *self._operators)
         self._linear_solve.enter_context(self.problem.timer("linear_solve"))
@@ -291,6 +309,8 @@ class Newton:
         contact = self.problem.contact
         if contact is not None and contact.outgrown:
             self._repair = True
+            return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
+        if self.linear.condensation is not None and self.linear.condensation.outgrown:
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         residual = snes.getFunction()[0]
         ratio = self._relative(residual)
