@@ -36,8 +36,9 @@ class Condensation:
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.block
         self.candidates = np.zeros(0, np.int64)
-        # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz).
-        self._ahead = problem.contact.ahead = 0.5 * (problem.model.largest_motion() or problem.contact.least_margin())
+        # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz), and a little
+        # beyond where they give.
+        self._ahead = problem.contact.ahead = 0.6 * (problem.model.largest_motion() or problem.contact.least_margin())
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._base: PETSc.Vec | None = None
         self._of = -1

@@ -133,7 +133,7 @@ class Newton:
         self._reference[:] = 0.0
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
-            problem.contact.pulls = not (problem.model.floating[:, 0].any() and problem.model.electric)
+            problem.contact.pulls = not (problem.loose and problem.model.electric)
         self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)
