@@ -94,7 +94,7 @@ def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
         if any(rule.allows(clump, every[1]).any() for clump in every[0]):
             given = surfaces[slave], surfaces[master], clumps[slave], clumps[master]
             passes.append(_pass(model, len(passes), *given, rule, True))
-    if not passes:
+    if not passes and not model.scene.planes:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
     return passes, _listed(model)
 

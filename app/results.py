@@ -54,7 +54,9 @@ __all__ = [
 ]
 
 Value = float | int | str
-SUMMARY_KEYS = tuple("title converged reason ranks dofs cells bodies steps timings peak_memory_mb versions".split())
+SUMMARY_KEYS = tuple(
+    "title converged reason ranks dofs cells bodies steps timings peak_memory_mb shares versions".split()
+)
 _FILES = (
     "scene.toml",
     "history.csv",

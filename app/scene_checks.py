@@ -146,7 +146,7 @@ def contact(scene: Scene) -> None:
         raise SceneError("contact.smoothing", "true", allowed)
     pairs = scene.contact.pairs
     if pairs == "auto":
-        if len(scene.body_names) < 2:
+        if len(scene.body_names) < 2 and not scene.planes:
             raise SceneError("contact.pairs", '"auto" with one body', 'two bodies, or [["slave", "master"], ...]')
         return
     known = list(dict.fromkeys([*scene.body_names, *scene.facet_groups]))

@@ -31,6 +31,7 @@ from app.progress import Progress
 from app.results import Results
 from app.scene import Scene, SceneError, mesh_error
 from app.scene_errors import named
+from app.shares import described, shares
 from app.solver import Newton, SolveError
 from app.stepping import Step, Stepper, StepReport, steps
 from app.timing import Timer
@@ -220,6 +221,9 @@ class _Session:
             if self.scene.output.fields != "none" and self.history and self.scene.output.fields == "end":
                 self._write_fields()
         cells = self.model.mesh.topology.index_map(self.model.dim).size_global
+        held = shares(self.problem)
+        if self.comm.size > 1:
+            log.info("%s", described(held))
         self.results.summary(
             {
                 "title": self.scene.title,
@@ -229,6 +233,7 @@ class _Session:
                 "cells": cells,
                 "bodies": list(self.model.bodies.bodies),
                 "timings": self.timer.timings(self.comm),
+                "shares": held,
             }
         )
         if self.scene.output.picture and self.history:

@@ -399,6 +399,7 @@ def test_summary_has_the_keys_of_the_contract(comm: MPI.Comm, shared_tmp_path: P
         "cells": 4,
         "bodies": ("lower", "upper"),
         "timings": Timer().timings(comm),
+        "shares": {"dofs": [12]},
     }
     with Results(shared_tmp_path, comm) as results:
         results.start("", COLUMNS)

@@ -348,6 +348,11 @@ def test_summary(comm: MPI.Comm, shared_tmp_path: Path) -> None:
     assert 0.5 * timings["total"] < sum(timings[name] for name in BUCKETS) <= timings["total"] * (1 + 1e-9)
     assert all(timings[name] > 0.0 for name in ("mesh", "assembly", "contact", "linear_solve", "output"))
     assert summary["peak_memory_mb"] > 10 * comm.size
+    held = summary["shares"]
+    assert sum(held["dofs"]) == summary["dofs"] and min(held["memory_mb"]) > 10
+    points = sum(len(p.rows) for p in finished.problem.contact.every)
+    assert sum(held["contact_points"]) == comm.allreduce(points) > 0
+    assert all(len(values) == comm.size for values in held.values())
     assert {"piezomat", "dolfinx", "petsc", "gmsh", "numpy", "python", "mpi"} <= set(summary["versions"])
     # The scene as it was run can be run again.
     assert Scene.load(shared_tmp_path / "scene.toml").model_dump() == halves().model_dump()
