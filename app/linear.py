@@ -21,8 +21,8 @@ DIRECT_LIMIT_3D = 10_000
 CONDENSED_LIMIT, CONDENSED_SHARE, CONDENSED_ALWAYS = 5_000, 0.2, 500
 START_TOLERANCE = 0.1  # of the linear solve that gives Newton's method its start value
 POLISH_TOLERANCE = 1e-3  # of the linear solve after Newton's method, where a part is held by next to nothing
-# Of every linear solve where bodies are loose: what moves them is a small part of the forces. With fewer digits Newton's
-# method takes half as many iterations again, each with a contact evaluation.
+# Of every linear solve where bodies are loose: what moves them is a small part of the forces. With fewer digits
+# Newton's method takes half as many iterations again, each with a contact evaluation.
 LOOSE_TOLERANCE = 1e-4
 AGED = 1.5  # growth of the Krylov iterations a digit that has a preconditioner made anew
 
