@@ -32,6 +32,7 @@ log = logging.getLogger("piezomat")
 
 # Points that meet nothing are looked at again once a surface has moved by this share of a facet since the last time.
 DRIFT = 0.05
+NEAR = 0.5  # facets: points nearer to touch than this may soon do so
 # Relative residual below which the tangent knows that tractions turn with their facets. Far from equilibrium tractions
 # are wrong by much more than they are worth, and those terms, of either sign, make the tangent indefinite.
 TURNING = 1e-2
@@ -170,7 +171,7 @@ class Contact:
             self._searched, self._searched_at = True, displacement.copy()
         # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
         # ask for what may soon touch.
-        reach = max(self.reach + 2.0 * DRIFT * self._facet, 0.5 * self.least_margin())
+        reach = max(self.reach + (NEAR + 2.0 * DRIFT) * self._facet, self.ahead)
         self._search = Search(self._keep, everywhere, reach, 2.0 * self.margin, 2.0 * self.last_penetration)
         # A tangent is mostly asked for where the residual was evaluated last: partners and projections are at hand.
         self._same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
@@ -214,15 +215,18 @@ class Contact:
         return self.nodes[terms.nodes]
 
     def reserve(self, ahead: float = 0.0) -> NDArray[np.int64]:
-        """Global nodes of the facet pairs in contact, or nearer to it than `ahead` (um), at the last evaluation."""
+        """Global nodes of the facet pairs in contact, or nearer to it than `ahead` (um), at the last evaluation.
+
+        Further than `self.ahead` or half a facet nothing is seen.
+        """
         sets = []
         for p in self.passes:
-            near = p.projection.gap < p.law.reach + ahead + 0.5 * p.size[p.rows[p.met]]
+            near = p.projection.gap < p.law.reach + ahead + NEAR * p.size[p.rows[p.met]]
             facets, partners = p.points.facet[p.rows[p.met[near]]], p.facet[p.met[near]]
             pairs = np.unique(np.stack([facets, partners], axis=1), axis=0)
             sets.append(np.concatenate([p.slave_nodes[pairs[:, 0]], p.master_nodes[pairs[:, 1]]], axis=1))
         for p in self.planes:
-            near = p.projection.gap < p.law.reach + ahead + 0.5 * p.size[p.rows]
+            near = p.projection.gap < p.law.reach + ahead + NEAR * p.size[p.rows]
             nodes = p.slave_nodes[np.unique(p.points.facet[p.rows[near]])]
             sets.append(np.concatenate([nodes, nodes], axis=1))
         return self.nodes[np.concatenate(sets)]

@@ -33,13 +33,16 @@ class TangentMatrix:
         rows = np.repeat(np.arange(self._nodes), np.diff(pointer[::block]) // block**2)
         first_rows = _ranges(pointer[:-1:block], np.diff(pointer)[::block])
         self._bulk_keys = rows * self._total + columns[first_rows[::block]].astype(np.int64) // block
+        self._keys = self._bulk_keys
+        self._row_start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=self._nodes))])
+        self._bulk_order = self._places(self._bulk_keys)  # of the bulk's values: row by row there, block by block here
         self.matrix: PETSc.Mat | None = None
         self.set_bulk(bulk)
         self.forget_pattern()
 
     def set_bulk(self, bulk: PETSc.Mat) -> None:
         """Take over the bulk's values."""
-        self._bulk_values = bulk.getValuesCSR()[2]
+        self._bulk_blocks = bulk.getValuesCSR()[2][self._bulk_order]
         self._bulk_is_new = True
 
     def forget_pattern(self) -> None:
@@ -110,9 +113,7 @@ class TangentMatrix:
             self._touched = np.zeros(0, np.int64)
         if self._pattern_is_new or self._bulk_is_new:
             self._base = np.zeros(len(self._columns))
-            # The bulk's values come row by row; its places are found block by block.
-            order = np.argsort(self._bulk_places.ravel(), kind="stable")
-            self._base[self._bulk_places.ravel()[order]] = self._bulk_values
+            self._base[self._bulk_places] = self._bulk_blocks
             self._data = self._base.copy()
         places = self._places(keys)
         rows = np.unique(np.concatenate([self._touched, keys // self._total]))
