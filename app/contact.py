@@ -78,13 +78,12 @@ class Contact:
         self._coordinates = coordinates
         self._keep = KEEP[0][1]
         self._turning = True
-        self._dragged = False
+        self.dragged = False  # whether bonds resist their opening
         self._of_planes: list[ContactTerms] = [_nothing(p.slave.nodes, self.components, False) for p in self.planes]
         sizes = [np.log(p.size) for p in self.every]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
         self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
-        self.drag_work = 0.0  # done against the drag in the last converged part of a step, pJ
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self._facet = float(np.exp(total[0] / total[1]))
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
@@ -279,7 +278,7 @@ class Contact:
 
         With a share of 1 no point of the interface softens, and a part of a step has one solution.
         """
-        self._dragged = True
+        self.dragged = True
         for p in self.every:
             if p.law.adhesion is None:
                 continue
@@ -291,7 +290,7 @@ class Contact:
 
     def let_go(self) -> None:
         """End `hold_back`."""
-        self._dragged = False
+        self.dragged = False
         for p in self.every:
             p.drag = Drag.none(len(p.points.weight))
 
@@ -300,7 +299,6 @@ class Contact:
         self.last_penetration = self.penetration()
         for p in self.planes:
             p.last_offset = p.offset
-        self.drag_work = self._drag_work() if self._dragged else 0.0
         for p in self.every:
             near, gap = p.rows[p.met], p.gap
             advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
@@ -350,17 +348,6 @@ class Contact:
         """Forget the multipliers of a solve that failed."""
         for p in self.every:
             p.give_up()
-
-    def _drag_work(self) -> float:
-        """Work against the drag since `hold_back`: mean of its tractions now and at the end of the part before."""
-        work = 0.0
-        for p in self.every:
-            rows, gap = p.rows[p.met], p.projection.gap
-            traction = p.drag.traction(gap, rows)
-            mean = 0.5 * (traction + p.drag.before[rows])
-            work += float((p.share * p.points.weight[rows]) @ (mean * (gap - p.drag.start[rows])))
-            p.drag.before[rows] = traction
-        return self.comm.allreduce(work, op=MPI.SUM)
 
     def places(self) -> int:
         """Largest number of points of a facet."""
@@ -436,7 +423,7 @@ class Contact:
         shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
         p.gap = p.projection.gap + shift[0]
         r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift, pulls=self.pulls)
-        if self._dragged:
+        if self.dragged:
             r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
             r.curvature = r.curvature + p.drag.stiffness[rows]
         active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)

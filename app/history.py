@@ -53,7 +53,8 @@ class Balance:
     """Work done on the model and by its stabilization, summed over the parts of all steps so far. Collective.
 
     The external work of a part is the mean of the nodal forces at its ends times the change of displacement plus the
-    mean of the potentials times the change of charge.
+    mean of the potentials times the change of charge. Where bonds snap forces change too much for that: see
+    `Problem.follow_snap`.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -88,14 +89,17 @@ class Balance:
         # Loads are part of `full`, which is therefore zero where nothing is fixed: the work of both is counted.
         new = new - problem.load_forces().reshape(-1, block)
         x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.start))
-        work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
+        work = 0.0
+        if problem.snap_work is None:
+            work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
         if problem.model.electric:
             work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
         self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
+        if problem.snap_work is not None:
+            self.external_work += float(problem.snap_work[0])
+            self.stabilization += float(problem.snap_work[1])
         self._take_planes()
         self.stabilization += problem.grounding_work()
-        if problem.contact is not None:
-            self.stabilization += problem.contact.drag_work
         self.forces.array[:] = new.ravel()
 
     def _take_planes(self) -> None:

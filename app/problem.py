@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Protocol
 
 import dolfinx
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 # Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
 GROUNDING = 1e-8
 ROUNDING = 1e-12  # of the potential of a strain of one
+SNAP_ACCURACY, SNAP_HALVINGS = 1e-3, 7  # of the work on the way of a snap, and how often that is divided at most
+SNAPPED = 0.25  # share of a part's change of force times motion: what is set free beyond it, a snap sets free
 
 
 class CondensedBulk(Protocol):
@@ -64,6 +67,7 @@ class Problem:
         self._loads = self.state.duplicate()
         self.start = self.state.duplicate()  # the last converged state
         self._terms: ContactTerms | None = None
+        self.snap_work: Array | None = None  # of the last part of a step, if it snapped
         self.linear = contact is None and not self.finite
         length = float(model.part_size.max())
         stiffest = contact.stiffest if contact is not None else 0.0
@@ -255,6 +259,62 @@ class Problem:
         work = change.array_r * force.array_r
         return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
 
+    def follow_snap(self) -> Array | None:
+        """What is done from outside and what is set free, (2,) pJ, in a part of a step that snaps; None if none does.
+
+        The way of a snap has no equilibrium, and a drag on it has no part in this. Along the straight line from `start`
+        to the state these are the work of reactions and loads, and minus that of the forces out of balance; the first
+        less the second is what is stored and dissipated. A step may snap without a drag, where Newton's method finds
+        the other side by itself: more is then set free than the work from outside is uncertain by.
+        """
+        contact = self.contact
+        if contact is None or not contact.adhesive:
+            return None
+        end = self.state.copy()
+        change = self.displacements(end - self.start)
+        fixed = np.zeros(len(self.full.array_r), bool)
+        fixed[self.model.fixed] = True
+        fixed = fixed.reshape(-1, self.model.block)[:, : self.model.dim]
+        dragged, contact.dragged = contact.dragged, False
+
+        def power(share: float) -> Array:
+            x = (1.0 - share) * self.start + share * end
+            self.residual(x, x.duplicate())
+            work = self.displacements(self.full) * change
+            applied = self.displacements(self._loads) * change
+            return reductions.total(self.comm, np.array([(work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()]))
+
+        values = [power(0.0)]
+        energy, forces = self._all_energy(self.start), self.full.array_r.copy()
+        values += [power(0.5), power(1.0)]
+        gained = self._all_energy(end) - energy - self._electric_work(end, self.full.array_r - forces)
+        found = _simpson(values)
+        uncertain = SNAPPED * abs(values[-1][0] - values[0][0])
+        snaps = dragged or found[0] - gained > uncertain
+        for _ in range(SNAP_HALVINGS if snaps else 0):
+            count = 2 * (len(values) - 1)
+            between = [power((2 * k + 1) / count) for k in range(count // 2)]
+            values = [*itertools.chain(*zip(values, between, strict=False)), values[-1]]
+            before, found = found, _simpson(values)
+            if np.abs(found - before).max() <= SNAP_ACCURACY * np.abs(found).max():
+                break
+        contact.dragged = dragged
+        self.residual(end, end.duplicate())
+        return found if snaps else None
+
+    def _all_energy(self, x: PETSc.Vec) -> float:
+        """Energy stored and dissipated at a state, that of the last evaluation of contact, pJ."""
+        self._set_state(x)
+        bulk = sum(fenicsx.integral(form) for form in self._energy_forms if form is not None)
+        return bulk + sum(self.contact.energies().values())
+
+    def _electric_work(self, end: PETSc.Vec, change: Array) -> float:
+        """Work of the charges that flow to prescribed potentials while the forces change, from `start` to `end`, pJ."""
+        if not self.model.electric:
+            return 0.0
+        potential, charge = (v.reshape(-1, self.model.block)[:, -1] for v in (end.array_r + self.start.array_r, change))
+        return self.comm.allreduce(float(-0.5 * potential @ charge), op=MPI.SUM)
+
     def _compile(self) -> None:
         model = self.model
         kinematics = model.scene.model.kinematics
@@ -367,3 +427,9 @@ class Problem:
     def _set_state(self, x: PETSc.Vec) -> None:
         x.copy(self._evaluated)
         self._evaluated.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+
+
+def _simpson(values: list[Array]) -> Array:
+    """Integral from 0 to 1 of what has these values at equal distances."""
+    inner = 4.0 * sum(values[1:-1:2]) + 2.0 * sum(values[2:-1:2], np.zeros_like(values[0]))
+    return (values[0] + inner + values[-1]) / (3.0 * (len(values) - 1))

@@ -124,6 +124,7 @@ class Stepper:
                 problem.contact.give_up()
             raise
         self.last_motion = problem.motion()
+        problem.snap_work = problem.follow_snap()
         if problem.contact is not None:
             problem.contact.commit()
         committed(factors)

@@ -7,7 +7,9 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from app.scene import Scene
 from app.simulation import run
+from app.stepping import SNAP_CUTBACKS
 from forms.contact.laws import History, InterfaceLaw
 from forms.contact.lennard_jones import FAR, LennardJones
 from tests import references as ref
@@ -151,15 +153,16 @@ def test_blocks_attract_and_repel_as_the_law_says(comm: MPI.Comm) -> None:
     assert row["dissipated"] == 0.0
 
 
-def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
-    """Blocks softer than the law's fall: they follow the far branch in, the near one out, and jump where each ends."""
-    r0, steps = LAW.distance, 40
-    compliance = 3.0 / float(LAW.steepness[0])  # of both blocks, one um together: their modulus is its inverse
-    start = 2.2 * FAR * r0
-    scene = press(
+COMPLIANCE = 3.0 / float(LAW.steepness[0])  # of both blocks, one um together: their modulus is its inverse
+
+
+def soft_blocks(steps: int) -> Scene:
+    """Blocks softer than the law's fall, brought together and apart: the distance is start - approach."""
+    r0, start = LAW.distance, 2.2 * FAR * LAW.distance
+    return press(
         {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[2, 1], [2, 1]], "gap": start},
         mesh={"cells": "tensor"},
-        materials={"soft": {"young": 1.0 / compliance, "poisson": 0.0}},
+        materials={"soft": {"young": 1.0 / COMPLIANCE, "poisson": 0.0}},
         bodies={"lower": "soft", "upper": "soft"},
         boundaries=[
             {"on": "bottom", "displacement": [0, 0]},
@@ -173,9 +176,15 @@ def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
         load={"steps": [steps, steps], "factors": {"approach": [start - 0.6 * r0, start - 6.0 * r0]}},
         solver={"tolerance": 1e-11},
     )
-    history = run(scene, MPI.COMM_SELF).history
+
+
+def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
+    """Blocks softer than the law's fall: they follow the far branch in, the near one out, and jump where each ends."""
+    r0, steps = LAW.distance, 40
+    start = 2.2 * FAR * r0
+    history = run(soft_blocks(steps), MPI.COMM_SELF).history
     gap = np.linspace(0.4 * r0, 12.0 * r0, 400_001)
-    distance = gap + compliance * traction(gap)  # between the blocks' far ends, less their height
+    distance = gap + COMPLIANCE * traction(gap)  # between the blocks' far ends, less their height
     expected = []
     for row in history:
         off = start - row["factor:approach"] - distance
@@ -187,3 +196,26 @@ def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
     # It snaps: the pull on the way out is greater than ever on the way in, and ends at once.
     assert force[steps:].max() > 1.5 * force[:steps].max()
     assert -np.diff(force[steps:]).min() > 0.5 * STRENGTH
+
+
+def test_what_a_snap_sets_free_is_found_whether_or_not_a_drag_leads_through_it() -> None:
+    """Snap-in and snap-off set free what the closed form says, within 2 %, and all work is accounted for.
+
+    The drag leads through the snap-in, and Newton's method finds the other side of the snap-off by itself, with a step
+    cut once: what is set free without a drag must not be lost.
+    """
+    history = run(soft_blocks(100), MPI.COMM_SELF).history
+    gap = np.linspace(0.6 * LAW.distance, 11.0 * LAW.distance, 100_001)
+    r = interface(len(gap)).respond(gap, None, History.virgin(len(gap)))
+    distance = gap + COMPLIANCE * r.slope
+    energy = r.contact + r.adhesion + 0.5 * COMPLIANCE * r.slope**2
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(distance)))) + 1
+    off, on = turns[0], turns[-1]  # the near branch ends at a greatest distance, the far one at a least
+    to = [np.flatnonzero(np.diff(np.sign(distance - distance[k]))) for k in (off, on)]
+    expected = energy[off] - energy[to[0][-1]] + energy[on] - energy[to[1][0]]
+    last = history[-1]
+    assert last["stabilization"] == pytest.approx(expected, rel=0.02)
+    stored = sum(last[name] for name in ("elastic", "contact", "adhesion", "dissipated"))
+    assert last["external_work"] == pytest.approx(stored + last["stabilization"], abs=0.02 * expected)
+    snaps = np.flatnonzero(np.diff([row["stabilization"] for row in history]) > 0.01 * expected) + 1
+    assert [history[k]["cutbacks"] >= SNAP_CUTBACKS for k in snaps] == [True, False]

@@ -169,21 +169,20 @@ def _elastic_opening(strength: float, energy: float, penalty: Array) -> Array:
 class Drag:
     """Viscous resistance of bonds to opening within one part of a step: stiffness (gap - start), (m,) each.
 
-    start um, stiffness MPa/um; before: its traction at the end of the part before, MPa. Bonds that soften faster than
-    the bodies around them snap; this lets them do so in small parts (Gao and Bower 2004).
+    start um, stiffness MPa/um. Bonds that soften faster than the bodies around them snap; this lets them do so in small
+    parts (Gao and Bower 2004).
     """
 
     start: Array
     stiffness: Array
-    before: Array
 
     def __getitem__(self, rows: NDArray) -> Drag:
-        return Drag(self.start[rows], self.stiffness[rows], self.before[rows])
+        return Drag(self.start[rows], self.stiffness[rows])
 
     @classmethod
     def none(cls, points: int) -> Drag:
         """Drag of points that nothing drags."""
-        return cls(np.zeros(points), np.zeros(points), np.zeros(points))
+        return cls(np.zeros(points), np.zeros(points))
 
     def traction(self, gap: Array, rows: NDArray) -> Array:
         """Traction of some of the points, MPa."""
