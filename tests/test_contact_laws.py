@@ -148,8 +148,7 @@ def test_energy_is_conserved_on_any_path(kind: str, always: bool, jump: float, r
     """
     law = interface(kind, always, electric=True)
     gaps = path(law, rng)
-    # A bond that always attracts takes the potentials along once it touches, at an opening above zero.
-    history = History(np.array([always and jump > 0.0]), np.zeros(1))
+    history = History.virgin(1)
     jumps = np.array([jump])
     start = enthalpy(law.respond(np.array(gaps[:1]), jumps, history))[0]
     work, dissipated = 0.0, 0.0
@@ -159,7 +158,7 @@ def test_energy_is_conserved_on_any_path(kind: str, always: bool, jump: float, r
         r = law.respond(end, jumps, history)
         history = after(law, history, end)
         committed = law.respond(end, jumps, history)
-        for name in ("contact", "adhesion", "dissipated", "electric"):
+        for name in ("contact", "adhesion", "dissipated", "electric", "charge"):
             assert abs(getattr(committed, name) - getattr(r, name))[0] < 1e-15, name
         assert abs(work - enthalpy(r)[0] + start) < 1e-13 * ENERGY * len(gaps)
         assert r.dissipated[0] >= dissipated - 1e-15
@@ -304,7 +303,8 @@ def test_potentials_stay_equal_in_contact_and_while_bonded(kind: str, always: bo
     law = interface(kind, always, electric=True)
     pressed = np.linspace(-0.01, 0.0, 20)
     np.testing.assert_allclose(switch(law, pressed, History.virgin(20)), 1.0, atol=1e-15)
-    far = np.linspace(1.0001 * FADE, 2.0 * FINAL, 20)
+    # What always attracts takes the potentials along wherever it attracts.
+    far = np.linspace(1.0001 * (float(law.adhesion.final[0]) if always else FADE), 2.0 * FINAL, 20)
     assert not switch(law, far, History.virgin(20)).any()
     if law.adhesion is None:
         return

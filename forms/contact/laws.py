@@ -110,7 +110,8 @@ class Adhesion:
     def held(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
         """Share of the electric contact that bonds keep, with its slope and curvature."""
         # A function of the gap alone as long as the bond holds: its slope pulls, so it must not jump on a return.
-        bonded, width = self.bonded(history), (1.0 - RELEASE) * self.final
+        # What always attracts is bonded within its range from the start: touching must not switch anything on.
+        bonded, width = self.bonded(history) | (self.always & ~history.touched), (1.0 - RELEASE) * self.final
         b, b1, b2 = (np.where(bonded, value, 0.0) for value in _fade((gap - RELEASE * self.final) / width))
         return b, b1 / width, b2 / width**2
 
