@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections.abc import Sequence
@@ -134,13 +135,14 @@ class Contact:
 
 @dataclass(frozen=True)
 class Run:
-    """Everything shown of a run."""
+    """Everything shown of a run. names: of its bodies, where the summary tells them, and of its planes."""
 
     title: str
     history: list[dict[str, Value]]
     step: int | None
     bodies: Bodies | None
     contact: Contact | None
+    names: tuple[Sequence[str], Sequence[str]] = ((), ())
 
     @property
     def flat(self) -> bool:
@@ -155,6 +157,16 @@ class Run:
         prefix = "contact_force_x@"
         names = self.history[0] if self.history else ()
         return [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+
+    def pair_name(self, number: int) -> str:
+        """The name of the pair of contact points with this number: a listed pair, two bodies, or a plane."""
+        listed, (bodies, planes) = self.pairs, self.names
+        beyond = len(listed) or len(bodies) ** 2
+        if number < len(listed):
+            return listed[number]
+        if number < beyond:
+            return "-".join(bodies[i] for i in divmod(number, len(bodies)))
+        return planes[number - beyond] if number - beyond < len(planes) else f"pair {number + 1}"
 
     def column(self, name: str) -> Floats:
         """A column of the history, 0 for what is not finite. ResultsError: an entry is no number."""
@@ -189,15 +201,16 @@ def read_run(directory: Path) -> Run:
     fields, contacts = read_index(directory / "fields.pvd"), read_index(directory / "contact.pvd")
     if not history and not fields:
         raise ResultsError(f"{directory} holds no step of a run yet: there is nothing to show")
-    entry = _shown(directory, history, fields, contacts)
+    entry, scene = _shown(directory, history, fields, contacts), _scene(directory)
     step = entry.step if entry else None
     contact_entry = next((e for e in contacts if e.step == step), contacts[-1] if contacts and not fields else None)
     return Run(
-        title=_title(directory),
+        title=str(scene.get("title") or directory.resolve().name),
         history=history,
         step=step if step is not None or contact_entry is None else contact_entry.step,
         bodies=_read_bodies(directory, entry) if entry else None,
         contact=_read_contact(directory, contact_entry) if contact_entry else None,
+        names=(_bodies(directory), [plane["name"] for plane in scene.get("planes", [])]),
     )
 
 
@@ -216,12 +229,21 @@ def _shown(
     return max(reversed(fields), key=lambda entry: force.get(entry.step, 0.0))
 
 
-def _title(directory: Path) -> str:
+def _scene(directory: Path) -> dict[str, Any]:
     try:
         with (directory / "scene.toml").open("rb") as file:
-            return str(tomllib.load(file).get("title") or directory.resolve().name)
+            return tomllib.load(file)
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise ResultsError(f"cannot read {directory / 'scene.toml'}: {error}") from error
+
+
+def _bodies(directory: Path) -> list[str]:
+    """Names of the bodies; none of a run that has not ended, which has no summary."""
+    summary = directory / "summary.json"
+    try:
+        return json.loads(summary.read_text(encoding="utf-8"))["bodies"] if summary.exists() else []
+    except (OSError, ValueError, KeyError) as error:
+        raise ResultsError(f"cannot read {summary}: {error}") from error
 
 
 def _read(directory: Path, entry: IndexEntry) -> list[Any]:

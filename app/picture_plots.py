@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,15 @@ TITLE, LABEL = {"fontsize": 12}, {"fontsize": 11}
 _FORCE = re.compile(r"(?P<contact>contact_)?force_(?P<axis>[xyz])@(?P<place>.+)")
 
 
-def draw_pressure_2d(ax: Any, contact: Contact, names: list[str]) -> None:
-    """Pressure over the position along the contact; several pairs are laid middle on middle."""
+def draw_pressure_2d(ax: Any, contact: Contact, name_of: Callable[[int], str]) -> None:
+    """Pressure over the position along the contact; several pairs are laid middle on middle.
+
+    The eight pairs with the largest pressures are named.
+    """
     factor, unit = prefixed(contact.pressure, "MPa")
     pairs = {int(number): contact.of(contact.pair == number) for number in np.unique(contact.pair)}
     pairs = {number: pair for number, pair in pairs.items() if pair.closed.any()}
+    pairs = dict(sorted(pairs.items(), key=lambda item: -float(item[1].pressure.max())))
     axis = ""
     for order, (number, pair) in enumerate(pairs.items()):
         _, along, _ = pair.axes
@@ -37,8 +42,8 @@ def draw_pressure_2d(ax: Any, contact: Contact, names: list[str]) -> None:
             groups = [(pair.status == code, STATUS_COLOURS[text], text) for code, text in enumerate(STATUS)]
         else:
             place = place - (low + high) / 2
-            name = plain(names[number]) if number < len(names) else f"pair {number + 1}"
-            groups = [(~pair.closed, GREY, ""), (pair.closed, f"C{order % 10}", name if order < 8 else "")]
+            name = plain(name_of(number)) if order < 8 else ""
+            groups = [(~pair.closed, GREY, ""), (pair.closed, f"C{order % 10}", name)]
         for chosen, colour, text in groups:
             if (chosen & near).any():
                 ax.plot(

@@ -85,7 +85,7 @@ def draw(run: Run) -> Figure:
             panels["zone"] = lambda ax: _draw_zone(ax, bodies, field, zone)
     if contact and contact.closed.any():
         if run.flat:
-            panels["pressure"] = lambda ax: draw_pressure_2d(ax, contact, run.pairs)
+            panels["pressure"] = lambda ax: draw_pressure_2d(ax, contact, run.pair_name)
         else:
             panels["pressure"] = lambda ax: draw_pressure_3d(ax, contact)
     forces, voltage = forces_shown(run), voltage_shown(run)

@@ -18,6 +18,7 @@ FACING = -0.05  # cosine between two surfaces' outward normals below which they 
 SURELY_FACING = -0.5  # the same cosine in the middle of a curved facet that faces all over
 LOOKED_AT = 6  # nearest facets in a first look
 SAME_WAY = 0.5  # cosine between a point's normal and that of a facet above which they look the same way
+DEVIATION = 1.5  # of a curved facet from a flat one, over that of its nodes
 BULGE = 0.1  # how far a curved facet may reach out of the box of its nodes, in its length
 SEARCH_ITERATIONS = 6  # to the closest point of a curved facet: enough where the point is over the facet
 TIE = 1e-9  # facets equally near within this share of their size are told apart by their key
@@ -250,7 +251,33 @@ def _may_be_nearest(
     sure = facing < SURELY_FACING
     nearest = np.full(len(points), np.inf)
     np.minimum.at(nearest, row[sure], distance[sure] + BULGE * radius[facet[sure]])
-    return distance - radius[facet] <= nearest[row]
+    able = np.flatnonzero(distance - radius[facet] <= nearest[row])
+    row, facet, sure = row[able], facet[able], sure[able]
+    least, most = _bounds(kind, points, facets, row, facet)
+    nearest = np.full(len(points), np.inf)
+    np.minimum.at(nearest, row[sure], most[sure])
+    may_be = np.zeros(len(distance), bool)
+    may_be[able[least <= nearest[row]]] = True
+    return may_be
+
+
+def _bounds(
+    kind: FacetKind, points: Array, facets: Array, row: NDArray[np.int64], facet: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Bounds (k,) of the distances of points to facets: to the flat parallelograms or triangles that touch them in
+    their middle, less and more by how far the facets deviate from those."""
+    middle = kind.nodes.mean(axis=0)
+    tangents = np.stack([np.einsum("k,fkd->fd", kind.shape(middle[None], (a,))[0], facets) for a in range(kind.dim)], 1)
+    center = np.einsum("k,fkd->fd", kind.shape(middle[None])[0], facets)
+    flat = center[:, None] + (kind.nodes - middle) @ tangents
+    deviation = DEVIATION * np.linalg.norm(facets - flat, axis=2).max(axis=1)
+    metric = tangents @ np.swapaxes(tangents, 1, 2)
+    dual = np.linalg.solve(metric, tangents)
+    away = points[row] - center[facet]
+    xi = kind.clamp(middle + np.einsum("kad,kd->ka", dual[facet], away), metric[facet]) - middle
+    distance = np.linalg.norm(away - np.einsum("ka,kad->kd", xi, tangents[facet]), axis=1)
+    slack = deviation[facet] + TIE * np.sqrt(np.trace(metric, axis1=1, axis2=2))[facet]
+    return distance - slack, distance + slack
 
 
 def _all_within(points: Array, facets: Array, distance: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -270,6 +270,16 @@ def test_several_pairs_and_long_names(tmp_path: Path) -> None:
     assert set(names) < set(legends)
 
 
+def test_pairs_of_many_bodies_are_named_by_them(tmp_path: Path) -> None:
+    run = read_run(write(tmp_path))
+    history = [{key: value for key, value in row.items() if not key.startswith("contact_")} for row in run.history]
+    run = replace(run, history=history, names=(["a", "b", "c"], ["floor", "lid"]))
+    assert [run.pair_name(number) for number in (1, 5, 9, 10)] == ["a-b", "b-c", "floor", "lid"]
+    figure = draw(replace(run, contact=replace(run.contact, pair=np.where(np.arange(len(run.contact.gap)) % 2, 5, 10))))
+    legends = [text.get_text() for ax in figure.axes if ax.get_legend() for text in ax.get_legend().get_texts()]
+    assert {"b-c", "lid"} < set(legends)
+
+
 @pytest.mark.mpi
 def test_pieces_of_all_ranks_are_one_picture(comm: MPI.Comm, shared_tmp_path: Path) -> None:
     write(shared_tmp_path / "parts", dim=3, comm=comm)

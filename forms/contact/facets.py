@@ -52,11 +52,11 @@ class FacetKind:
         for axis in derivative:
             factor = factor * powers[:, axis]
             powers[:, axis] = np.maximum(powers[:, axis] - 1, 0)
-        monomials = np.tile(factor, (len(xi), 1))
-        for axis in range(self.dim):
-            column = xi[:, axis : axis + 1]
-            power = powers[:, axis]
-            monomials *= np.where(power == 0, 1.0, np.where(power == 1, column, column * column))
+        monomials = np.empty((len(xi), len(powers)))
+        for column, (value, exponents) in enumerate(zip(factor, powers, strict=True)):
+            for axis in np.flatnonzero(exponents) if value else ():
+                value = value * (xi[:, axis] if exponents[axis] == 1 else xi[:, axis] ** 2)
+            monomials[:, column] = value
         return monomials @ self.coefficients
 
     def overshoot(self, xi: Array) -> Array:
