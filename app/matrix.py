@@ -109,30 +109,28 @@ class TangentMatrix:
             node_columns = (self._keys % self._total)[:, None] * b + np.arange(b)
             spans = _ranges(np.repeat(self._row_start[:-1] * b, b), row_length)
             self._columns = node_columns.ravel()[spans].astype(PETSc.IntType)
-            self._bulk_places = self._places(self._bulk_keys)
             self._touched = np.zeros(0, np.int64)
         if self._pattern_is_new or self._bulk_is_new:
             self._base = np.zeros(len(self._columns))
-            self._base[self._bulk_places] = self._bulk_blocks
-            self._data = self._base.copy()
+            self._base[self._places(self._bulk_keys)] = self._bulk_blocks
         places = self._places(keys)
         rows = np.unique(np.concatenate([self._touched, keys // self._total]))
         scalar_rows = (rows[:, None] * b + np.arange(b)).ravel()
         lengths = np.diff(self._pointer)[scalar_rows]
         spans = _ranges(self._pointer[scalar_rows], lengths)
-        self._data[spans] = self._base[spans]
-        np.add.at(self._data, places.ravel(), blocks.ravel())
+        data = self._base.copy()
+        np.add.at(data, places.ravel(), blocks.ravel())
         if self._pattern_is_new:
             self.matrix = PETSc.Mat().createAIJ(
-                self._sizes, bsize=b, csr=(self._pointer, self._columns, self._data), comm=self.comm
+                self._sizes, bsize=b, csr=(self._pointer, self._columns, data), comm=self.comm
             )
             self.rebuilds += 1
         elif self._bulk_is_new:
-            self.matrix.setValuesCSR(self._pointer, self._columns, self._data)
+            self.matrix.setValuesCSR(self._pointer, self._columns, data)
         else:
             pointer = np.concatenate([[0], np.cumsum(lengths)]).astype(PETSc.IntType)
             rowmap = (scalar_rows + self._first * b).astype(PETSc.IntType)
-            self.matrix.setValuesIJV(pointer, self._columns[spans], self._data[spans], rowmap=rowmap)
+            self.matrix.setValuesIJV(pointer, self._columns[spans], data[spans], rowmap=rowmap)
         self.matrix.assemble()
         self._bulk_is_new = False
         self._touched = np.unique(keys // self._total)

@@ -53,13 +53,14 @@ class Problem:
         self.state: PETSc.Vec = self._evaluated.duplicate()
         self.state.set(0.0)
         self.finite = model.scene.model.kinematics == "finite"
-        self._trial, self._test = ufl.TrialFunction(model.space), ufl.TestFunction(model.space)
+        self._test = ufl.TestFunction(model.space)
         self._coordinates = model.coordinate_vector()
         with timer("assembly"):
             self._compile()
+            self._springs = self._ground()
+            self._stronger = 1.0  # factor by which the springs are stronger for the time being
             self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
             self._assemble_bulk()
-            self._ground()
         self._matrix: TangentMatrix | None = None
         self.condensed: CondensedBulk | None = None  # what tells the bulk's residual, where it is not the matrix
         self.renewals = 0  # how often bulk and grounding have changed
@@ -77,7 +78,7 @@ class Problem:
     @property
     def floats(self) -> bool:
         """Whether springs hold a part, because its boundaries do not."""
-        return self._grounding is not None
+        return self._springs is not None
 
     @property
     def loose(self) -> bool:
@@ -98,7 +99,7 @@ class Problem:
     def close(self) -> None:
         """Destroy the matrices; state and contact can still be looked at."""
         tangent = self._matrix.matrix if self._matrix is not None else None
-        for matrix in (self._bulk, self._grounding, self._grounded, tangent):
+        for matrix in (self._bulk, tangent):
             if matrix is not None:
                 matrix.destroy()
         self.collect_garbage()
@@ -153,7 +154,7 @@ class Problem:
         reserve = self.contact.reserve() if self.contact is not None else nodes
         with self.timer("assembly"):
             if self._matrix is None:
-                self._matrix = TangentMatrix(self.comm, self._base(), self.model.block, self.model.fixed_global)
+                self._matrix = TangentMatrix(self.comm, self._bulk, self.model.block, self.model.fixed_global)
             matrix, fresh = self._matrix.assemble(nodes, matrices, reserve)
             self._matrix.eliminate()
         return matrix, fresh
@@ -167,11 +168,11 @@ class Problem:
 
     def without_contact(self) -> PETSc.Mat:
         """A copy of the tangent's bulk and grounding, nothing eliminated from it."""
-        return self._base().copy()
+        return self._bulk.copy()
 
     def lift(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent of the last `linearize` times a change of the fixed unknowns."""
-        self._base().mult(change, result)
+        self._bulk.mult(change, result)
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)
 
@@ -251,12 +252,10 @@ class Problem:
 
     def grounding_work(self) -> float:
         """Work of the grounding springs in the step that ends at the present state, pJ."""
-        if self._grounding is None:
+        if self._springs is None:
             return 0.0
         change = self.state - self.start
-        force = change.duplicate()
-        self._grounding.mult(change, force)
-        work = change.array_r * force.array_r
+        work = self._springs.array_r * change.array_r**2
         return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
 
     def follow_snap(self) -> Array | None:
@@ -330,43 +329,43 @@ class Problem:
         derivative = None if loads.empty() else load_tangent(loads, model.state)
         self._load_tangent = None if derivative is None else dolfinx.fem.form(derivative)
 
-    def _ground(self) -> None:
-        """The grounding matrix, where a part floats."""
+    def _ground(self) -> PETSc.Vec | None:
+        """The springs of parts that float, one at every unknown; None where no part does."""
         model = self.model
-        self._grounding: PETSc.Mat | None = None
-        self._grounded: PETSc.Mat | None = None
-        self._factor = 1.0
         if not model.floating.any():
-            return
+            return None
         strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
         values = GROUNDING * model.part_modulus / model.part_size[:, None] ** 2 * model.floating
         cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
         strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
         strength.x.scatter_forward()
-        form = dolfinx.fem.form(grounding_form(self._trial, self._test, strength))
-        self._grounding = dolfinx.fem.petsc.assemble_matrix(form)
-        self._grounding.assemble()
+        springs = self.state.duplicate()
+        self._assemble_into(springs, dolfinx.fem.form(grounding_form(self._test, strength)))
+        return springs
 
     def set_grounding(self, factor: float) -> None:
         """Make the springs of floating parts `factor` times as strong as they finally are."""
-        if self.floats and factor != self._factor:
-            self._grounding.scale(factor / self._factor)
-            self._factor = factor
-            self._grounded = None
+        if self.floats and factor != self._stronger:
+            self._add_springs(factor - self._stronger)
+            self._stronger = factor
             self._renew()
+
+    def _add_springs(self, factor: float) -> None:
+        diagonal = self._bulk.getDiagonal()
+        diagonal.axpy(factor, self._springs)
+        self._bulk.setDiagonal(diagonal)
 
     def _renew(self) -> None:
         self.renewals += 1
         if self._matrix is not None:
-            self._matrix.set_bulk(self._base())
+            self._matrix.set_bulk(self._bulk)
 
     def carried_by_grounding(self) -> float:
         """Forces of the springs on floating parts over the forces of the loads; 0 without springs or loads."""
         loads = self.comm.allreduce(float(np.abs(self.displacements(self._loads)).sum()), op=MPI.SUM)
         if not self.floats or loads == 0.0:
             return 0.0
-        force = self.state.duplicate()
-        self._grounding.mult(self.state - self.start, force)
+        force = self._springs * (self.state - self.start)
         return self.comm.allreduce(float(np.abs(self.displacements(force)).sum()), op=MPI.SUM) / loads
 
     def _assemble_bulk(self) -> None:
@@ -375,15 +374,8 @@ class Problem:
         if self._load_tangent is not None:
             dolfinx.fem.petsc.assemble_matrix(self._bulk, self._load_tangent)
         self._bulk.assemble()
-
-    def _base(self) -> PETSc.Mat:
-        """Bulk and grounding: all of the tangent but contact."""
-        if self._grounding is None:
-            return self._bulk
-        if self.finite or self._grounded is None:
-            self._grounded = self._bulk.copy()
-            self._grounded.axpy(1.0, self._grounding, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        return self._grounded
+        if self._springs is not None:
+            self._add_springs(self._stronger)
 
     def _update_bulk(self, x: PETSc.Vec) -> None:
         if not self.finite:
@@ -407,11 +399,13 @@ class Problem:
             self._assemble_into(self.full, self._residual_form)
             if self._load_tangent is not None:
                 self._assemble_loads()
+            held = self.start - x
         else:
-            self._bulk.mult(x, self.full)
+            self._bulk.mult(x, self.full)  # its springs included
+            held = self.start
         self.full.axpy(1.0, self._loads)
-        if self._grounding is not None:
-            self._grounding.multAdd(x - self.start, self.full, self.full)
+        if self._springs is not None:
+            self.full.axpy(-self._stronger, self._springs * held)
 
     def _assemble_loads(self) -> None:
         self._loads.set(0.0)

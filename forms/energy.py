@@ -28,15 +28,15 @@ def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any 
     return half_square(range(strains)), -half_square(range(strains, len(s)))
 
 
-def grounding_form(u: Any, v: Any, strength: Any) -> Any:
-    """Bilinear form of springs spread over the volume that hold every unknown where it was.
+def grounding_form(v: Any, strength: Any) -> Any:
+    """Linear form whose vector holds the springs, one at every unknown, that hold a body where it was.
 
-    strength: DG0 vector of two, MPa/um2: for each displacement, and for the potential unknown (which takes the sign
-    of the dielectric term, so that the grounded body keeps one tangent of one signature).
+    Their energy in a rigid motion is that of springs spread over the volume, whatever the order: its square is
+    integrated from its nodal values. strength: DG0 vector of two, MPa/um2: for each displacement, and for the potential
+    unknown (which takes the sign of the dielectric term, so that the grounded body keeps a tangent of one signature).
     """
-    dim = fenicsx.dimension(u)
-    density = strength[0] * sum(u[i] * v[i] for i in range(dim))
-    if u.ufl_shape[0] > dim:
-        density = density - strength[1] * u[dim] * v[dim]
-    order = fenicsx.degree(v)
-    return density * ufl.dx(degree=2 * order)
+    dim = fenicsx.dimension(v)
+    density = strength[0] * sum(v[i] for i in range(dim))
+    if v.ufl_shape[0] > dim:
+        density = density - strength[1] * v[dim]
+    return density * ufl.dx(degree=fenicsx.degree(v))
