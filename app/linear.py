@@ -107,8 +107,7 @@ class Direct:
                 return self._operator.matrix, self._operator.matrix
             self.condensation = None
             self._factorize_all()
-        # SNES still holds the matrix of an old pattern while it asks for the new one.
-        self._last, (self._matrix, _) = self._matrix, self.problem.tangent()
+        self._matrix, _ = self.problem.tangent()
         return self._matrix, self._matrix
 
     def apply(self, pc: PETSc.PC, right: PETSc.Vec, result: PETSc.Vec) -> None:
@@ -183,8 +182,6 @@ class Multigrid:
         """Take up the tangent at x: the operator, and what its preconditioner is made from."""
         self.problem.linearize(x)
         if self._matrix is None or self.problem.loose or self._has_aged():
-            # SNES still holds the matrix of an old pattern while it asks for the new one.
-            self._last = self._matrix
             self._matrix, fresh = self.problem.tangent()
             if fresh and not self.problem.model.electric:
                 self._matrix.setNearNullSpace(self._rigid)

@@ -121,6 +121,8 @@ class TangentMatrix:
         data = self._base.copy()
         np.add.at(data, places.ravel(), blocks.ravel())
         if self._pattern_is_new:
+            if self.matrix is not None:
+                self.matrix.destroy()  # for Python: who solves with it holds it as long as it needs it
             self.matrix = PETSc.Mat().createAIJ(
                 self._sizes, bsize=b, csr=(self._pointer, self._columns, data), comm=self.comm
             )
