@@ -31,10 +31,14 @@ SHORT = {
     "fibers_2d": ["mesh.contact_size=0.02", "mesh.size=0.15", "load.steps=[10,16]"],
     "fiber_array": ["mesh.contact_size=0.1", "load.steps=[4]"],
     "cross_ply": ["mesh.size=0.7", "mesh.contact_size=0.4", "load.steps=[2]"],
+    "random_mat": [
+        *("geometry.count=5", "geometry.width=8", "geometry.depth=8", "mesh.size=0.8", "mesh.contact_size=0.4"),
+        *("contact.smoothing=false", "contact.passes=1", "planes.1.motion=[0,0,-0.4]", "load.steps=[2]"),
+    ],
     "own_mesh": ["load.steps=[8]", "load.factors.press=[0.4]"],
 }
 MOST_ITERATIONS = 7
-MANY_FIBERS = ("fiber_array", "cross_ply")  # each crossing opens and closes by itself
+MANY_FIBERS = ("fiber_array", "cross_ply", "random_mat")  # each crossing opens and closes by itself
 
 
 def header(name: str) -> str:
@@ -66,7 +70,7 @@ def call(*command: str | Path, **options: Any) -> subprocess.CompletedProcess[st
 
 
 def test_the_shipped_scenes() -> None:
-    wanted = {"crossed_fibers", "fibers_2d", "blocks", "stack", "bimorph", "own_mesh", "fiber_array", "cross_ply"}
+    wanted = {"crossed_fibers", "fibers_2d", "blocks", "stack", "bimorph", "own_mesh", *MANY_FIBERS}
     assert set(EXAMPLES) == wanted
 
 
@@ -100,7 +104,7 @@ def test_few_iterations(name: str) -> None:
     assert column(history, "cutbacks").max() == 0
 
 
-@pytest.mark.parametrize(("name", "axis"), [("fiber_array", "y"), ("cross_ply", "z")])
+@pytest.mark.parametrize(("name", "axis"), [("fiber_array", "y"), ("cross_ply", "z"), ("random_mat", "z")])
 def test_what_presses_on_many_fibers_stands_on_the_floor(name: str, axis: str) -> None:
     last = short(name)[-1]
     assert last[f"force_{axis}@lid"] < -10.0 and last["mean_potential@lid"] > 1.0
