@@ -1,6 +1,7 @@
 """Time of contact search and pairing alone over the number of fibers, and its growth exponent.
 
     .venv/bin/python scripts/study_search.py 100 1000 10000
+    mpirun -n 4 .venv/bin/python -m mpi4py scripts/study_search.py 1000     fibers shared among ranks, ply by ply
 
 Plies of ten crossed fibers of 1 um, 80 facets each, lie on each other with a hundredth of a micrometre between them.
 Every facet's centre looks for the facet of another fiber that it meets, as at the start of a load step.
@@ -29,8 +30,9 @@ RADIUS, SPACING, GAP, MARGIN = 0.5, 2.0, 0.01, 0.3
 A_PLY, AROUND, ALONG = 10, 8, 10
 
 
-def facets_of_plies(count: int) -> Array:
-    """Nodes (facets, 4, 3) of the lateral surfaces of `count` fibers, in plies turned by 90 degrees."""
+def facets_of_plies(first: int, last: int) -> Array:
+    """Nodes (facets, 4, 3) of the lateral surfaces of fibers first to last - 1, in plies turned by 90 degrees."""
+    count = last - first
     length = SPACING * A_PLY
     angle = np.linspace(0.0, 2.0 * np.pi, AROUND + 1) + np.pi / AROUND
     along = np.linspace(0.0, length, ALONG + 1)
@@ -39,7 +41,7 @@ def facets_of_plies(count: int) -> Array:
     tube = np.stack([s, RADIUS * np.cos(a), RADIUS * np.sin(a)], axis=-1)
     corners = [tube[:-1, :-1], tube[:-1, 1:], tube[1:, :-1], tube[1:, 1:]]
     one = np.stack([corner.reshape(-1, 3) for corner in corners], axis=1)
-    ply, place = np.divmod(np.arange(count), A_PLY)
+    ply, place = np.divmod(np.arange(first, last), A_PLY)
     moved = np.zeros((count, 3))
     moved[:, 1], moved[:, 2] = SPACING * (place + 0.5), (2.0 * height + GAP) * ply
     fibers = one + moved[:, None, None]
@@ -48,20 +50,24 @@ def facets_of_plies(count: int) -> Array:
     return fibers.reshape(-1, 4, 3)
 
 
-def search(count: int) -> tuple[float, int]:
-    """Processor time (s) to pair every facet's centre, and how many have found a partner."""
-    kind, rule = facet_kind("quad4"), Rule(parts=count)
-    nodes = facets_of_plies(count)
-    fiber = np.repeat(np.arange(count), len(nodes) // count)
+def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
+    """Processor time (s) to pair the centres of this rank's facets, how many found a partner, facets it must see."""
+    kind, rule, each = facet_kind("quad4"), Rule(parts=count), AROUND * ALONG
+    first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
+    nodes = facets_of_plies(first, last)
+    fiber = np.repeat(np.arange(first, last), each)
     clump = rule.clump(fiber, fiber)
     middle = np.full((len(nodes), 2), 0.5)
-    inside = nodes.reshape(count, -1, 3).mean(axis=1)[fiber]
+    inside = nodes.reshape(last - first, -1, 3).mean(axis=1)[fiber - first]
     raw = point_normals(kind, middle, nodes, np.ones(len(nodes)))
     sign = np.sign(np.einsum("md,md->m", raw, nodes.mean(axis=1) - inside))
-    own = VisibleFacets(np.arange(nodes[..., 0].size).reshape(-1, 4), sign, np.arange(len(nodes)), clump, nodes[:, :0])
+    key = first * each + np.arange(len(nodes))
+    own = VisibleFacets(4 * key[:, None] + np.arange(4), sign, key, clump, nodes[:, :0])
     began = process_time()
-    visible = share_facets(MPI.COMM_SELF, nodes, clump, own, nodes, MARGIN, rule)
-    facets, points, normals = nodes[visible.key], nodes.mean(axis=1), raw * sign[:, None]
+    visible = share_facets(comm, nodes, clump, own, nodes, MARGIN, rule)
+    low, high = int(visible.key.min()) // each, int(visible.key.max()) // each + 1
+    facets = facets_of_plies(low, high)[visible.key - low * each]
+    points, normals = nodes.mean(axis=1), raw * sign[:, None]
     found = 0
     meetings = Meetings.near(points, clump, facets, visible.clump, MARGIN, rule)
     for rows, theirs in zip(meetings.points, meetings.facets, strict=True):
@@ -71,21 +77,27 @@ def search(count: int) -> tuple[float, int]:
         given = points[near], normals[near], facets[theirs], facing, visible.key[theirs]
         met, _ = closest_facets(kind, *given, MARGIN)
         found += int((met >= 0).sum())
-    return process_time() - began, found
+    return process_time() - began, found, len(visible)
 
 
 def main() -> None:
     """Print a line a number of fibers, and the exponent of growth between the first and the last."""
+    comm = MPI.COMM_WORLD
     counts = [int(word) for word in sys.argv[1:]] or [100, 1000, 10000]
     times = []
     for count in counts:
-        seconds, found = search(count)
-        times.append(seconds)
+        seconds, found, visible = search(count, comm)
         memory = getrusage(RUSAGE_SELF).ru_maxrss / 1024
-        print(
-            f"{count:6d} fibers  {seconds:8.2f} s  {found:7d} points met a facet  {memory:6.0f} MB at most", flush=True
-        )
-    if len(counts) > 1:
+        seconds, visible, memory = (comm.allreduce(most, op=MPI.MAX) for most in (seconds, visible, memory))
+        times.append(seconds)
+        found = comm.allreduce(found)
+        if comm.rank == 0:
+            print(
+                f"{count:6d} fibers  {seconds:8.2f} s  {found:7d} points met a facet; a rank at most: "
+                f"{visible:7d} facets seen, {memory:6.0f} MB",
+                flush=True,
+            )
+    if len(counts) > 1 and comm.rank == 0:
         exponent = np.log(times[-1] / times[0]) / np.log(counts[-1] / counts[0])
         print(f"growth exponent {exponent:.2f}")
 
