@@ -12,7 +12,7 @@ from meshes.centre_lines import Fiber, Pieces, segment_distances
 
 Array = NDArray[np.float64]
 
-ROUNDS = 20  # of lifting a fiber off those below until it touches them without overlap
+ROUNDS = 200  # of lifting a fiber off those below until it touches them without overlap
 TOUCHING = 1e-9  # overlap that is left, in radii
 
 

@@ -49,6 +49,14 @@ def test_fibers_rest_on_each_other_and_do_not_overlap(name: str) -> None:
     assert outcome.smallest_gap == pytest.approx(expected, abs=1e-6)
 
 
+def test_no_seed_of_a_mat_makes_fibers_overlap() -> None:
+    """Fifty mats of thirty fibers that bend: the worst took the most rounds of lifting."""
+    box = {"width": 20.8, "depth": 20.8, "length": 6.0}
+    for seed in range(50):
+        gap = Mat(count=30, seed=seed, bend_radius=1.5, **box).outcome().smallest_gap
+        assert gap is None or gap > -1e-8, seed
+
+
 def test_two_crossed_fibers_rest_as_their_radii_say() -> None:
     bed = Bed(None, 0.0)
     bed.lay("a", np.array([[-3.0, 0.0], [3.0, 0.0]]), 0.5)
