@@ -127,7 +127,12 @@ for step in range(1, STEPS + 1):
         residual = model.rhs()
         if iteration > 0 and np.linalg.norm(residual) <= TOLERANCE * np.linalg.norm(reactions()):
             break
-        model.to_variables(model.from_variables() + gf.linsolve_mumps(model.tangent_matrix(), residual).ravel())
+        state, change = model.from_variables(), gf.linsolve_mumps(model.tangent_matrix(), residual).ravel()
+        for share in (1.0, 0.5, 0.25, 0.125):
+            model.to_variables(state + share * change)
+            model.assembly("build_rhs")
+            if np.linalg.norm(model.rhs()) < np.linalg.norm(residual):
+                break
     else:
         sys.exit(f"step {step} did not converge")
     iterations.append(iteration)
