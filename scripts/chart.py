@@ -28,7 +28,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from scripts.chart_cases import AUGMENT, CASES, CURVES, ELECTRIC, NORMAL, REFERENCE, Case, Curve, peak_pressure
+from app.scene import Scene
+from scripts.chart_cases import CASES, CURVES, ELECTRIC, NORMAL, Case, peak_pressure
 from scripts.others import OTHERS, installed
 from scripts.pressed import Cost, Failed, measured, run_of, write_mesh
 
@@ -46,11 +47,11 @@ def read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def ours(case: Case, curve: Curve, size: float, augment: float) -> Cost:
+def ours(scene: Scene) -> Cost:
     """A run of piezomat. Raises Failed."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scene.toml"
-        path.write_text(case.scene(curve, size, augment).to_toml(), encoding="utf-8")
+        path.write_text(scene.to_toml(), encoding="utf-8")
         return measured(run_of(path))
 
 
@@ -59,7 +60,7 @@ def theirs(case: Case, size: float, program: tuple[list[str], dict[str, str]]) -
     command, environment = program
     with tempfile.TemporaryDirectory() as scratch:
         path, mesh = Path(scratch) / "scene.toml", Path(scratch) / "mesh.msh"
-        path.write_text(case.scene(CURVES[0], size, AUGMENT).to_toml(), encoding="utf-8")
+        path.write_text(case.scene(CURVES[0], size).to_toml(), encoding="utf-8")
         write_mesh(path, mesh)
         penalties = [f"--normal={NORMAL / size!r}", f"--electric={ELECTRIC / size!r}"]
         return measured([*command, str(mesh), *penalties], environment)
@@ -99,9 +100,9 @@ def sweep(case: Case, out: Path, meshes: int, others: dict[str, tuple[list[str],
                 if name in foreign:
                     cost = theirs(case, size, foreign[name])
                 elif name == TRUTH:
-                    cost = ours(case, REFERENCE, size, AUGMENT / 10)
+                    cost = ours(case.reference())
                 else:
-                    cost = ours(case, by_name[name], size, AUGMENT)
+                    cost = ours(case.scene(by_name[name], size))
                 found = row(name, size, cost)
             except Failed as failure:
                 found = {"curve": name, "size": size, "reason": str(failure)}

@@ -88,7 +88,8 @@ def measured(command: list[str], environment: dict[str, str] | None = None) -> C
         out.seek(0)
         errors.seek(0)
         if process.returncode:
-            raise Failed(" ".join(errors.read().split())[-400:] or f"exit status {process.returncode}")
+            said = errors.read().strip().splitlines()
+            raise Failed(said[-1] if said else f"exit status {process.returncode}")
         answer = json.loads(out.read().splitlines()[-1])
     return Cost(usage.ru_utime + usage.ru_stime, wall, usage.ru_maxrss / 1024, answer)
 
