@@ -1,6 +1,6 @@
 """Sweeps the maps of contact: where each method is right, converged but wrong, or failed, and why.
 
-    scripts/stability                             all maps, into results/stability: some 20 minutes on 2 cores
+    scripts/stability                             all maps, into results/stability: an hour on 2 cores, most of it for adhesion
     scripts/stability out --maps penalty ratio    some of them, into another folder
     scripts/stability out --draw                  only draws anew what out holds
 
@@ -164,6 +164,8 @@ def draw(study: Map, rows: list[dict[str, str]], path: Path) -> None:
     key = (
         f"green: within {100 * study.tolerance:g} % of: {study.reference}; red: converged, but wrong; number: error, %"
     )
+    if len(found) < len(methods) * len(xs) * len(ys):
+        key += "; white: not run"
     if letters:
         key += "\ngrey: failed. " + "; ".join(sorted(letters))
     figure.supxlabel(f"{x_name}\n{key}", fontsize=8)
