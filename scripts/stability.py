@@ -1,6 +1,6 @@
 """Sweeps the maps of contact: where each method is right, converged but wrong, or failed, and why.
 
-    scripts/stability                             all maps, into results/stability: an hour on 2 cores, most of it for adhesion
+    scripts/stability                             all maps, into results/stability: an hour or more on 2 cores
     scripts/stability out --maps penalty ratio    some of them, into another folder
     scripts/stability out --draw                  only draws anew what out holds
 
