@@ -85,6 +85,22 @@ def slope(f: Callable[[float], Array], step: float) -> Array:
 
 
 @each_law
+def test_without_pulling_the_electric_contact_leaves_the_traction_alone(
+    kind: str, always: bool, rng: np.random.Generator
+) -> None:
+    law = interface(kind, always, electric=True)
+    gap, history = samples(law, rng)
+    law, jump = on_all(law, len(gap)), rng.uniform(-3.0, 3.0, len(gap))
+    pulling, idle = law.respond(gap, jump, history), law.respond(gap, jump, history, pulls=False)
+    mechanical = law.respond(gap, None, history)
+    for name in ("charge", "electric_curvature", "electric"):
+        np.testing.assert_array_equal(getattr(idle, name), getattr(pulling, name))
+    for name in ("slope", "curvature", "mixed"):
+        np.testing.assert_array_equal(getattr(idle, name), getattr(mechanical, name))
+    assert (pulling.slope != idle.slope).any()
+
+
+@each_law
 @pytest.mark.parametrize("electric", [False, True])
 def test_slopes_are_derivatives_of_the_energy(
     kind: str, always: bool, electric: bool, rng: np.random.Generator
