@@ -118,7 +118,7 @@ def value(thing: Any) -> str:
 def carry_out(run: Run, out: Path) -> dict[str, Any]:
     """The row of a run: what came out, or why nothing did."""
     sets = [f"{key}={value(thing)}" for key, thing in run.keys.items()]
-    name = "-".join(str(thing) for thing in run.label.values())
+    name = "-".join(f"{key}_{thing}" for key, thing in run.label.items())
     folder = out / f"{run.scene}-{name}"
     launcher = ["mpirun", "--oversubscribe", "-n", str(run.ranks)] if run.ranks > 1 else []
     command = [*launcher, sys.executable, "-m", "mpi4py", "-m", "app", "run", run.scene, "--out", str(folder)]
