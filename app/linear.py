@@ -17,6 +17,9 @@ from app.scene_sections import Solver
 # Largest three-dimensional model that is factorized. Multigrid costs less from 6,000 unknowns (two crossed fibers, five
 # steps, linear solves: 0.5 s against 0.7; 3.6 s against 6 at 18,000; 18 s against 51 at 77,000); factors are exact.
 DIRECT_LIMIT_3D = 10_000
+# The same where bodies are loose, held by contact alone: multigrid may need hundreds of iterations for them, and while
+# contact takes the most time factors cost little (a mat of 33,000 unknowns: 18 % of the run).
+LOOSE_LIMIT_3D = 40_000
 # Most unknowns of the contact's candidates, whose dense matrix is factorized in each iteration: more in large models.
 CONDENSED_LIMIT, CONDENSED_SHARE, CONDENSED_ALWAYS = 5_000, 0.2, 500
 START_TOLERANCE = 0.1  # of the linear solve that gives Newton's method its start value
@@ -27,17 +30,23 @@ LOOSE_TOLERANCE = 1e-4
 AGED = 1.5  # growth of the Krylov iterations a digit that has a preconditioner made anew
 
 
-def is_direct(model_dim: int, unknowns: int, keys: Solver) -> bool:
+def direct_limit_3d(model: Model) -> int:
+    """Most unknowns that are factorized in 3D."""
+    return LOOSE_LIMIT_3D if model.floating[:, 0].any() else DIRECT_LIMIT_3D
+
+
+def is_direct(model: Model) -> bool:
     """Whether the linear systems are factorized: in 2D, and in 3D as long as that is cheap, unless told otherwise."""
-    if keys.kind != "auto":
-        return keys.kind == "direct"
-    return model_dim == 2 or unknowns <= DIRECT_LIMIT_3D
+    kind = model.scene.solver.kind
+    if kind != "auto":
+        return kind == "direct"
+    return model.dim == 2 or model.unknowns <= direct_limit_3d(model)
 
 
 def linear_solver(problem: Problem, keys: Solver) -> Direct | Multigrid:
     """The solver that suits a problem, unless the scene's [solver] asks for another."""
     model = problem.model
-    return (Direct if is_direct(model.dim, model.unknowns, keys) else Multigrid)(problem, keys)
+    return (Direct if is_direct(model) else Multigrid)(problem, keys)
 
 
 class _Operator:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app import fenicsx
 from app.contact import Contact
-from app.linear import DIRECT_LIMIT_3D, is_direct
+from app.linear import direct_limit_3d, is_direct
 from app.model import Model
 from app.scene_errors import named
 
@@ -147,7 +147,7 @@ def _solution(model: Model, contact: Contact | None) -> str:
 
 def _linear_solver(model: Model) -> str:
     keys = model.scene.solver
-    direct = is_direct(model.dim, model.unknowns, keys)
+    direct = is_direct(model)
     name = "direct (MUMPS)" if direct else "FGMRES, displacement and potential split, algebraic multigrid on each"
     if not direct and not model.electric:
         name = "FGMRES with algebraic multigrid that knows rigid bodies"
@@ -156,7 +156,7 @@ def _linear_solver(model: Model) -> str:
     if model.dim == 2:
         return f"{name}, since the model is two-dimensional"
     relation = "at most" if direct else "more than"
-    return f"{name}, since the model has {relation} {DIRECT_LIMIT_3D} unknowns in three dimensions"
+    return f"{name}, since the model has {relation} {direct_limit_3d(model)} unknowns in three dimensions"
 
 
 def _memory_mb(model: Model) -> float:
@@ -165,6 +165,6 @@ def _memory_mb(model: Model) -> float:
     neighbours = {2: (7, 20), 3: (15, 60)}[model.dim][model.bodies.order - 1]
     matrix = 4 * 12 * n * neighbours * model.block
     factors = 0.0
-    if is_direct(model.dim, n, model.scene.solver):
+    if is_direct(model):
         factors = 8 * (6.0 * n * model.block * max(n, 2) ** 0.15 if model.dim == 2 else 16.0 * n ** (4 / 3))
     return 170 * model.comm.size + (matrix + factors) / 1e6

@@ -106,9 +106,8 @@ def _intervals(
     facet, start, length = owner[piece], cut[piece], cut[piece + 1] - cut[piece]
     paired = np.isin(facet, s)
     covered = ~paired | _inside_any(facet, start + 0.5 * length, s, low, high)
-    x, w = np.polynomial.legendre.leggauss(kind.order + 1)
-    x, w = 0.5 * (x + 1.0), 0.5 * w
-    xi = start[:, None] + length[:, None] * x
+    x, w = kind.quadrature()
+    xi = start[:, None] + length[:, None] * x[:, 0]
     share = length[:, None] * w
     n = len(x)
     return np.repeat(facet, n), xi.reshape(-1, 1), share.ravel(), np.repeat(covered, n)
