@@ -58,7 +58,7 @@ def nodal_normals(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Arra
     of the facets themselves with their weights. Facets of all ranks count, in the same order on all. Collective.
     """
     node = numbers.ravel()
-    mine = (node, np.repeat(key, numbers.shape[1]), corner.reshape(len(node), -1))
+    mine = (node, np.repeat(key, numbers.shape[1]), corner.reshape(len(node), corner.shape[2]))
     # What is at a node meets on a rank that its number names, and goes back to all that have the node.
     at = node % comm.size
     received = comm.alltoall([tuple(part[at == rank] for part in mine) for rank in range(comm.size)])

@@ -162,7 +162,8 @@ CUTS: dict[str, Partition | None] = {
 CASES = [(scene, "strips") for scene in SCENES]
 if MPI.COMM_WORLD.size > 1:
     CASES += [(scene, "graph") for scene in ("triangles", "quadrilaterals of order 2", "tetrahedra", "bricks")]
-    CASES += [(scene, "an empty rank") for scene in ("triangles", "a floating block", "tetrahedra", "segments")]
+    some = ("triangles", "a floating block", "tetrahedra", "segments", "smoothed")
+    CASES += [(scene, "an empty rank") for scene in some]
     CASES += [("finite kinematics", "a body a rank"), ("multigrid", "graph")]
 serial: dict[str, Rows] = {}
 
