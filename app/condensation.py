@@ -94,13 +94,14 @@ class Condensation:
             reduced = self._factor.complement - np.diag(self._shift)
         unknowns = _unknowns(candidates, b)
         self._own = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._places])
-        self._free = ~np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
-        gathered = self.comm.gather((self._own, reduced))
+        gathered = self.comm.gather((self._own, reduced, ~self._fixed[self._places]))
         self._reduced: Array | None = None
         if gathered is not None:
             self._reduced = np.zeros((len(unknowns), len(unknowns)))
-            for at, part in gathered:
+            self._free = np.zeros(len(unknowns), bool)
+            for at, part, free in gathered:
                 self._reduced[np.ix_(at, at)] = part
+                self._free[at] = free
 
     def _add(self, nodes: Integers, matrices: Array) -> None:
         """Factorize the condensed bulk with the contact's matrices of these nodes added."""
@@ -131,7 +132,7 @@ class Condensation:
         r[self._fixed] = 0.0
         if self._balanced(r, scale):
             self._base, self._base_residual = self._take(x), residual
-            self.outgrown, self.problem.condensed = False, self
+            self.problem.condensed = self
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Residual of the bulk at x, were its inside in equilibrium; at fixed unknowns still that of `hold`."""
