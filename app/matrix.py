@@ -33,12 +33,11 @@ class TangentMatrix:
         rows = np.repeat(np.arange(self._nodes), np.diff(pointer[::block]) // block**2)
         first_rows = _ranges(pointer[:-1:block], np.diff(pointer)[::block])
         self._bulk_keys = rows * self._total + columns[first_rows[::block]].astype(np.int64) // block
-        self._keys = self._bulk_keys
-        self._row_start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=self._nodes))])
+        self.forget_pattern()
+        self._find_rows()
         self._bulk_order = self._places(self._bulk_keys)  # of the bulk's values: row by row there, block by block here
         self.matrix: PETSc.Mat | None = None
         self.set_bulk(bulk)
-        self.forget_pattern()
 
     def set_bulk(self, bulk: PETSc.Mat) -> None:
         """Take over the bulk's values."""
@@ -101,10 +100,8 @@ class TangentMatrix:
     def _write(self, keys: Integers, blocks: Array) -> None:
         b = self.block
         if self._pattern_is_new:
-            rows = self._keys // self._total
-            count = np.bincount(rows, minlength=self._nodes)
-            self._row_start = np.concatenate([[0], np.cumsum(count)])
-            row_length = np.repeat(count * b, b)
+            self._find_rows()
+            row_length = np.repeat(np.diff(self._row_start) * b, b)
             self._pointer = np.concatenate([[0], np.cumsum(row_length)]).astype(PETSc.IntType)
             node_columns = (self._keys % self._total)[:, None] * b + np.arange(b)
             spans = _ranges(np.repeat(self._row_start[:-1] * b, b), row_length)
@@ -136,6 +133,11 @@ class TangentMatrix:
         self.matrix.assemble()
         self._bulk_is_new = False
         self._touched = np.unique(keys // self._total)
+
+    def _find_rows(self) -> None:
+        """Where the blocks of each row begin among the present keys."""
+        count = np.bincount(self._keys // self._total, minlength=self._nodes)
+        self._row_start = np.concatenate([[0], np.cumsum(count)])
 
     def _places(self, keys: Integers) -> Integers:
         """Where the entries of the blocks with these local keys stand in the CSR data, (k, b, b)."""
