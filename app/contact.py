@@ -262,8 +262,9 @@ class Contact:
         )
         if matrices is not None:
             matrices = np.pad(matrices, ((0, 0), *((0, matrices.shape[1]),) * 2))
-        offsets = p.slave.rounding[np.unique(facet)]
-        terms = _to_corners(p.slave.kind, _sum_by_pair(facet, nodes, vectors, matrices), offsets, offsets)
+        terms, facets = _sum_by_pair(facet, nodes, vectors, matrices)
+        offsets = p.slave.rounding[facets]
+        terms = _to_corners(p.slave.kind, terms, offsets, offsets)
         self._of_planes[p.pair - self.planes[0].pair] = terms
         return terms
 
@@ -447,8 +448,8 @@ class Contact:
         p.force = np.zeros((len(rows), self.dim))
         p.force[active] = -vectors[:, : len(kind.nodes), : self.dim].sum(axis=1)
         pair_of_facets = p.points.facet[rows][active] * max(len(p.visible), 1) + facet[active]
-        terms = _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
-        own, other = np.divmod(np.unique(pair_of_facets), max(len(p.visible), 1))
+        terms, pairs = _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
+        own, other = np.divmod(pairs, max(len(p.visible), 1))
         return _to_corners(kind, terms, p.slave.rounding[own], p.visible.rounding[other])
 
     def _scatter(self, state: PETSc.Vec) -> None:
@@ -477,14 +478,14 @@ def _global(index_map: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
 
 def _sum_by_pair(
     pair: NDArray[np.int64], nodes: NDArray[np.int64], vectors: Array, matrices: Array | None
-) -> ContactTerms:
-    """Sum the points of each facet pair: the matrix is scattered once a pair, not once a point."""
+) -> tuple[ContactTerms, NDArray[np.int64]]:
+    """Sums over the points of each facet pair, and the pairs: the matrix is scattered once a pair, not once a point."""
     if not len(pair):
-        return ContactTerms(nodes, vectors, matrices)
+        return ContactTerms(nodes, vectors, matrices), pair
     order = np.argsort(pair, kind="stable")
-    _, first = np.unique(pair[order], return_index=True)
+    pairs, first = np.unique(pair[order], return_index=True)
     summed = None if matrices is None else np.add.reduceat(matrices[order], first)
-    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed)
+    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed), pairs
 
 
 def _to_corners(kind: FacetKind, terms: ContactTerms, slave: Array, master: Array) -> ContactTerms:

@@ -52,19 +52,18 @@ def find_partners(p: ContactPass, points: Array, position: Array, search: Search
         left = np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT)
         lost[have[kind.overshoot(xi) > np.maximum(search.keep, left)]] = True
     if lost.any():
-        _look_for(p, points, position, np.flatnonzero(lost), search)
+        _look_for(p, points, position, lost, search)
 
 
-def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.int64], search: Search) -> None:
+def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:
     kind = p.slave.kind
     own = p.points.facet[p.rows[lost]]
     normals = np.zeros_like(points)
     normals[lost] = point_normals(kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own])
     p.facet[lost] = -1
     least = np.full(len(p.rows), np.inf)
-    is_lost = np.isin(np.arange(len(p.rows)), lost)
     for near, facets in zip(p.meetings.points, p.meetings.facets, strict=True):
-        tried = near[is_lost[near]]
+        tried = near[lost[near]]
         if not len(tried):
             continue
         nodes, orientation = p.master_at(position, facets), p.visible.orientation[facets]
