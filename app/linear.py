@@ -32,7 +32,7 @@ AGED = 1.5  # growth of the Krylov iterations a digit that has a preconditioner 
 
 def direct_limit_3d(model: Model) -> int:
     """Most unknowns that are factorized in 3D."""
-    return LOOSE_LIMIT_3D if model.floating[:, 0].any() else DIRECT_LIMIT_3D
+    return LOOSE_LIMIT_3D if model.loose else DIRECT_LIMIT_3D
 
 
 def is_direct(model: Model) -> bool:
@@ -148,10 +148,10 @@ class Multigrid:
         self._matrix: PETSc.Mat | None = None
         self._rate = 0.0  # Krylov iterations a digit in the first solve with the present preconditioner
         self.close_tolerance = min(1e-8, 0.1 * keys.tolerance) if problem.linear else POLISH_TOLERANCE
-        self._inexact = "ksp_rtol" not in keys.petsc and not problem.loose
+        self._inexact = "ksp_rtol" not in keys.petsc and not problem.model.loose
         if "ksp_rtol" in keys.petsc:
             self.start_tolerance = self.close_tolerance = None
-        elif problem.loose:
+        elif problem.model.loose:
             self.start_tolerance = LOOSE_TOLERANCE
 
     def close(self) -> None:
@@ -190,7 +190,7 @@ class Multigrid:
     def linearize(self, x: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Take up the tangent at x: the operator, and what its preconditioner is made from."""
         self.problem.linearize(x)
-        if self._matrix is None or self.problem.loose or self._has_aged():
+        if self._matrix is None or self.problem.model.loose or self._has_aged():
             self._matrix, fresh = self.problem.tangent()
             if fresh and not self.problem.model.electric:
                 self._matrix.setNearNullSpace(self._rigid)
@@ -205,11 +205,11 @@ class Multigrid:
         return rate > AGED * self._rate
 
     def _multigrid(self) -> dict[str, Any]:
-        """Smoothed aggregation for the displacements, which knows rigid bodies; classical for the potential."""
+        """Smoothed aggregation for each field; that of the displacements knows rigid bodies."""
         # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
         # A threshold of 0.1 takes half the iterations of 0.02 on pressed mats, more than 0.1 makes coarse grids large;
         # where bodies are held, a fifth is saved, and setting up takes three times as long.
-        threshold = 0.1 if self.problem.loose else 0.02
+        threshold = 0.1 if self.problem.model.loose else 0.02
         amg: dict[str, Any] = {"pc_type": "gamg", "pc_gamg_threshold": threshold}
         amg |= {"mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
         if not self.problem.model.electric:

@@ -100,6 +100,11 @@ class Model:
         return np.array([min(float(np.diag(m.stiffness)[:3].mean()) for m in materials), electric])
 
     @property
+    def loose(self) -> bool:
+        """Whether a part can move that its boundaries do not hold."""
+        return bool(self.floating[:, 0].any())
+
+    @property
     def unknowns(self) -> int:
         """Number of unknowns of the whole model."""
         return self._index_map.size_global * self.block

@@ -81,11 +81,6 @@ class Problem:
         return self._springs is not None
 
     @property
-    def loose(self) -> bool:
-        """Whether a part can move that its boundaries do not hold."""
-        return bool(self.model.floating[:, 0].any())
-
-    @property
     def symmetric(self) -> bool:
         """Whether the tangent is symmetric: all but follower pressure is derived from one enthalpy."""
         return self._load_tangent is None

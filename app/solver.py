@@ -133,7 +133,7 @@ class Newton:
         self._reference[:] = 0.0
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
-            problem.contact.pulls = not (problem.loose and problem.model.electric)
+            problem.contact.pulls = not (problem.model.loose and problem.model.electric)
         self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)
@@ -251,11 +251,10 @@ class Newton:
         Near the solution slopes are rounding: a whole step that leaves little of the residual is taken as it is.
         """
         self._linear_solve.close()
-        slope_here = -self._slope(self._residual, step)
         self._try(x, step, 1.0)
-        slope = -self._slope(self._trial, step)
         if self._trial.norm() <= CONVERGING * self._residual.norm():
             return
+        slope_here = -self._slope(self._residual, step)
         if slope_here >= 0.0:
             length, bound = 1.0, UPHILL_GROWTH * self._residual.norm()
             while self._trial.norm() > bound and length > SHORTEST_STEP:
@@ -263,6 +262,7 @@ class Newton:
                 self._try(x, step, length)
             step.scale(length)
             return
+        slope = -self._slope(self._trial, step)
         if not slope > SLOPE_REDUCTION * -slope_here:
             return
         low, high = (0.0, slope_here), (1.0, slope)
