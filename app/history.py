@@ -54,7 +54,7 @@ class Balance:
 
     The external work of a part is the mean of the nodal forces at its ends times the change of displacement plus the
     mean of the potentials times the change of charge. Where bonds snap forces change too much for that: see
-    `Problem.follow_snap`.
+    `snap_work`.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -87,7 +87,7 @@ class Balance:
         block, d = problem.model.block, problem.model.dim
         new, old = (v.array_r.reshape(-1, block) for v in (problem.full, self.forces))
         # Loads are part of `full`, which is therefore zero where nothing is fixed: the work of both is counted.
-        new = new - problem.load_forces().reshape(-1, block)
+        new = new - problem.loads.array_r.reshape(-1, block)
         x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.start))
         work = 0.0
         if problem.snap_work is None:
@@ -123,7 +123,7 @@ def row(
         values |= {f"force_{axis}@{on}": float(f) for axis, f in zip(axes, force, strict=True)}
         if model.electric:
             values |= {f"charge@{on}": charge, f"mean_potential@{on}": model.mean_potential(conditions[0])}
-    energies = problem.energies()
+    energies = problem.energies(problem.state)
     contact = {"contact": 0.0, "adhesion": 0.0, "electric": 0.0, "dissipated": 0.0}
     if problem.contact is not None:
         if pairs:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any, Protocol
 
 import dolfinx
@@ -26,8 +25,6 @@ Array = NDArray[np.float64]
 # Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
 GROUNDING = 1e-8
 ROUNDING = 1e-12  # of the potential of a strain of one
-SNAP_ACCURACY, SNAP_HALVINGS = 1e-3, 7  # of the work on the way of a snap, and how often that is divided at most
-SNAPPED = 0.25  # share of a part's change of force times motion: what is set free beyond it, a snap sets free
 
 
 class CondensedBulk(Protocol):
@@ -65,7 +62,7 @@ class Problem:
         self.condensed: CondensedBulk | None = None  # what tells the bulk's residual, where it is not the matrix
         self.renewals = 0  # how often bulk and grounding have changed
         self.full = self.state.duplicate()  # residual with the reactions of what is fixed
-        self._loads = self.state.duplicate()
+        self.loads = self.state.duplicate()  # what the loads add to the residual: minus the nodal forces they apply
         self.start = self.state.duplicate()  # the last converged state
         self._terms: ContactTerms | None = None
         self.snap_work: Array | None = None  # of the last part of a step, if it snapped
@@ -202,17 +199,13 @@ class Problem:
 
     def outer_forces(self) -> Array:
         """Norms (1,) or (2,) of what acts from outside at the last `residual`: reactions, loads, rigid planes."""
-        forces = self.full - self._loads
+        forces = self.full - self.loads
         if self.contact is not None and self.contact.planes:
             planes = forces.duplicate()
             planes.set(0.0)
             self.contact.add_forces_of_planes(planes)
             forces.axpy(-1.0, planes)
         return self.norms(forces)
-
-    def load_forces(self) -> Array:
-        """This rank's share of what the loads add to the residual: minus the nodal forces they apply."""
-        return self._loads.array_r.copy()
 
     def displacements(self, vector: PETSc.Vec) -> Array:
         """This rank's displacement part (nodes, d) of a vector."""
@@ -236,9 +229,9 @@ class Problem:
         change = self.displacements(self.state) - self.displacements(self.start)
         return self.maximum(float(np.abs(change).max(initial=0.0)))
 
-    def energies(self) -> dict[str, float]:
-        """Stored energies of the bulk at the present state, pJ: elastic, electric."""
-        self.refresh()
+    def energies(self, x: PETSc.Vec) -> dict[str, float]:
+        """Stored energies of the bulk at x, pJ: elastic, electric."""
+        self._set_state(x)
         elastic, electric = self._energy_forms
         return {
             "elastic": fenicsx.integral(elastic),
@@ -252,62 +245,6 @@ class Problem:
         change = self.state - self.start
         work = self._springs.array_r * change.array_r**2
         return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
-
-    def follow_snap(self) -> Array | None:
-        """What is done from outside and what is set free, (2,) pJ, in a part of a step that snaps; None if none does.
-
-        The way of a snap has no equilibrium, and a drag on it has no part in this. Along the straight line from `start`
-        to the state these are the work of reactions and loads, and minus that of the forces out of balance; the first
-        less the second is what is stored and dissipated. A step may snap without a drag, where Newton's method finds
-        the other side by itself: more is then set free than the work from outside is uncertain by.
-        """
-        contact = self.contact
-        if contact is None or not contact.adhesive:
-            return None
-        end = self.state.copy()
-        change = self.displacements(end - self.start)
-        fixed = np.zeros(len(self.full.array_r), bool)
-        fixed[self.model.fixed] = True
-        fixed = fixed.reshape(-1, self.model.block)[:, : self.model.dim]
-        dragged, contact.dragged = contact.dragged, False
-
-        def power(share: float) -> Array:
-            x = (1.0 - share) * self.start + share * end
-            self.residual(x, x.duplicate())
-            work = self.displacements(self.full) * change
-            applied = self.displacements(self._loads) * change
-            return reductions.total(self.comm, np.array([(work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()]))
-
-        values = [power(0.0)]
-        energy, forces = self._all_energy(self.start), self.full.array_r.copy()
-        values += [power(0.5), power(1.0)]
-        gained = self._all_energy(end) - energy - self._electric_work(end, self.full.array_r - forces)
-        found = _simpson(values)
-        uncertain = SNAPPED * abs(values[-1][0] - values[0][0])
-        snaps = dragged or found[0] - gained > uncertain
-        for _ in range(SNAP_HALVINGS if snaps else 0):
-            count = 2 * (len(values) - 1)
-            between = [power((2 * k + 1) / count) for k in range(count // 2)]
-            values = [*itertools.chain(*zip(values, between, strict=False)), values[-1]]
-            before, found = found, _simpson(values)
-            if np.abs(found - before).max() <= SNAP_ACCURACY * np.abs(found).max():
-                break
-        contact.dragged = dragged
-        self.residual(end, end.duplicate())
-        return found if snaps else None
-
-    def _all_energy(self, x: PETSc.Vec) -> float:
-        """Energy stored and dissipated at a state, that of the last evaluation of contact, pJ."""
-        self._set_state(x)
-        bulk = sum(fenicsx.integral(form) for form in self._energy_forms if form is not None)
-        return bulk + sum(self.contact.energies().values())
-
-    def _electric_work(self, end: PETSc.Vec, change: Array) -> float:
-        """Work of the charges that flow to prescribed potentials while the forces change, from `start` to `end`, pJ."""
-        if not self.model.electric:
-            return 0.0
-        potential, charge = (v.reshape(-1, self.model.block)[:, -1] for v in (end.array_r + self.start.array_r, change))
-        return self.comm.allreduce(float(-0.5 * potential @ charge), op=MPI.SUM)
 
     def _compile(self) -> None:
         model = self.model
@@ -357,7 +294,7 @@ class Problem:
 
     def carried_by_grounding(self) -> float:
         """Forces of the springs on floating parts over the forces of the loads; 0 without springs or loads."""
-        loads = self.comm.allreduce(float(np.abs(self.displacements(self._loads)).sum()), op=MPI.SUM)
+        loads = self.comm.allreduce(float(np.abs(self.displacements(self.loads)).sum()), op=MPI.SUM)
         if not self.floats or loads == 0.0:
             return 0.0
         force = self._springs * (self.state - self.start)
@@ -398,14 +335,14 @@ class Problem:
         else:
             self._bulk.mult(x, self.full)  # its springs included
             held = self.start
-        self.full.axpy(1.0, self._loads)
+        self.full.axpy(1.0, self.loads)
         if self._springs is not None:
             self.full.axpy(-self._stronger, self._springs * held)
 
     def _assemble_loads(self) -> None:
-        self._loads.set(0.0)
+        self.loads.set(0.0)
         if self._load_form is not None:
-            self._assemble_into(self._loads, self._load_form)
+            self._assemble_into(self.loads, self._load_form)
 
     def _assemble_into(self, vector: PETSc.Vec, form: Any) -> None:
         with vector.localForm() as local:
@@ -416,9 +353,3 @@ class Problem:
     def _set_state(self, x: PETSc.Vec) -> None:
         x.copy(self._evaluated)
         self._evaluated.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-
-
-def _simpson(values: list[Array]) -> Array:
-    """Integral from 0 to 1 of what has these values at equal distances."""
-    inner = 4.0 * sum(values[1:-1:2]) + 2.0 * sum(values[2:-1:2], np.zeros_like(values[0]))
-    return (values[0] + inner + values[-1]) / (3.0 * (len(values) - 1))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from app.problem import Problem
 from app.scene_sections import Load
+from app.snap import snap_work
 from app.solver import Newton, NewtonReport, SolveError
 
 log = logging.getLogger("piezomat")
@@ -124,7 +125,7 @@ class Stepper:
                 problem.contact.give_up()
             raise
         self.last_motion = problem.motion()
-        problem.snap_work = problem.follow_snap()
+        problem.snap_work = snap_work(problem)
         if problem.contact is not None:
             problem.contact.commit()
         committed(factors)
