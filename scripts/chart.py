@@ -15,7 +15,6 @@ cases are in chart_cases.py.
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from app.scene import Scene
+from scripts import tables
 from scripts.chart_cases import CASES, CURVES, ELECTRIC, NORMAL, Case, peak_pressure
 from scripts.others import OTHERS, installed
 from scripts.pressed import Cost, Failed, measured, run_of, write_mesh
@@ -37,14 +37,6 @@ COLUMNS = ["curve", "size", "unknowns", "seconds", "memory_mb", "newton", "force
 COLOURS = {"node": "#d95f02", "point": "#1b9e77", "segment": "#7570b3"}
 FOREIGN = {"ngsolve": ("NGSolve", "D"), "getfem": ("GetFEM", "v")}
 TRUTH = "reference"
-
-
-def read(path: Path) -> list[dict[str, str]]:
-    """The rows of a table, none if there is no table yet."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def ours(scene: Scene) -> Cost:
@@ -83,32 +75,27 @@ def row(name: str, size: float, cost: Cost) -> dict[str, Any]:
 def sweep(case: Case, out: Path, meshes: int, others: dict[str, tuple[list[str], dict[str, str]]]) -> None:
     """Run what the table lacks; every row is in it as soon as its run has ended."""
     path = out / f"{case.name}.csv"
-    done = {(row["curve"], row["size"]) for row in read(path)}
+    done = {(row["curve"], row["size"]) for row in tables.rows(path)}
     foreign = others if case.material == "pvdf" else {}
     sizes = case.sizes[:meshes]
     todo = [(TRUTH, case.finest), *((curve.name, size) for size in sizes for curve in CURVES)]
     todo += [(name, size) for size in sizes for name in foreign]
     by_name = {curve.name: curve for curve in CURVES}
-    with path.open("a", newline="") as file:
-        table = csv.DictWriter(file, COLUMNS)
-        if not done:
-            table.writeheader()
-        for name, size in todo:
-            if (name, f"{size}") in done:
-                continue
-            try:
-                if name in foreign:
-                    cost = theirs(case, size, foreign[name])
-                elif name == TRUTH:
-                    cost = ours(case.reference())
-                else:
-                    cost = ours(case.scene(by_name[name], size))
-                found = row(name, size, cost)
-            except Failed as failure:
-                found = {"curve": name, "size": size, "reason": str(failure)}
-            table.writerow(found)
-            file.flush()
-            print(f"{case.name}  {name}  {size:g}  {found.get('reason') or found['seconds'] + ' s'}", flush=True)
+    for name, size in todo:
+        if (name, f"{size}") in done:
+            continue
+        try:
+            if name in foreign:
+                cost = theirs(case, size, foreign[name])
+            elif name == TRUTH:
+                cost = ours(case.reference())
+            else:
+                cost = ours(case.scene(by_name[name], size))
+            found = row(name, size, cost)
+        except Failed as failure:
+            found = {"curve": name, "size": size, "reason": str(failure)}
+        tables.append(path, COLUMNS, found)
+        print(f"{case.name}  {name}  {size:g}  {found.get('reason') or found['seconds'] + ' s'}", flush=True)
 
 
 def errors(case: Case, rows: list[dict[str, str]]) -> dict[str, list[tuple[float, float, float]]]:
@@ -188,7 +175,7 @@ def main() -> None:
     for name in given.cases:
         if not given.draw:
             sweep(CASES[name], given.out, given.meshes, others)
-        draw(CASES[name], read(given.out / f"{name}.csv"), given.out / f"{name}.png")
+        draw(CASES[name], tables.rows(given.out / f"{name}.csv"), given.out / f"{name}.png")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ so that processor time and memory are its own.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import resource
@@ -29,6 +28,7 @@ import numpy as np
 from matplotlib import pyplot
 
 from app.scene import Scene
+from scripts import tables
 
 SIDE = 12.0 / np.sqrt(10.0)  # of the box (um) over the root of the number of fibers: that of the shipped scene
 PRESSED = 0.2  # approach of the planes over the thickness of the mat
@@ -170,28 +170,15 @@ def recipe(scene: str, sets: list[str]) -> dict[str, Any]:
     return {"crossings": outcome.crossings, "smallest_gap": gap, "thickness": f"{thickness:.4g}"}
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    """The rows of a table, none if there is no table yet."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def study(name: str, runs: list[Run], out: Path) -> None:
     """Carry out what the table lacks; every row is in it as soon as its run has ended."""
     path = out / f"{name}.csv"
     for run in runs:
         label = {key: str(thing) for key, thing in run.label.items()}
-        rows = read(path)
-        if any(all(row[key] == thing for key, thing in label.items()) for row in rows):
+        if any(all(row[key] == thing for key, thing in label.items()) for row in tables.rows(path)):
             continue
         row = carry_out(run, out / "runs")
-        with path.open("a", newline="") as file:
-            table = csv.DictWriter(file, [*label, *COLUMNS])
-            if not rows:
-                table.writeheader()
-            table.writerow(row)
+        tables.append(path, [*label, *COLUMNS], row)
         print(name, label, row["outcome"], row["processor_seconds"], "s", row["reason"], flush=True)
 
 
@@ -257,7 +244,7 @@ def main() -> None:
     for name in given.studies:
         if not given.draw:
             study(name, list(STUDIES[name](given.fibers)), given.out)
-        rows = read(given.out / f"{name}.csv")
+        rows = tables.rows(given.out / f"{name}.csv")
         if name in DRAWINGS and rows:
             DRAWINGS[name](rows, given.out / f"{name}.png")
 

@@ -11,7 +11,6 @@ Cells that the table holds are not run again. The scenes and references are in s
 from __future__ import annotations
 
 import argparse
-import csv
 import logging
 import math
 import multiprocessing
@@ -28,6 +27,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
+from scripts import tables
 from scripts.stability_maps import COMM, MAPS, METHODS, Map
 
 COLUMNS = ["method", "x", "y", "outcome", "error", "newton", "cutbacks", "seconds", "reason"]
@@ -91,32 +91,15 @@ def cells(study: Map, done: set[tuple[str, str, str]]) -> Iterator[tuple[str, in
                     yield study.name, column, x, y
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    """The rows of a table, none if there is no table yet."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def sweep(study: Map, out: Path, pool: Any) -> None:
     """Run what the map lacks; every row is in its table as soon as its cell has ended."""
     path = out / f"{study.name}.csv"
-    done = {(row["method"], row["x"], row["y"]) for row in read(path)}
+    done = {(row["method"], row["x"], row["y"]) for row in tables.rows(path)}
     todo = list(cells(study, done))
-    new = not path.exists() or path.stat().st_size == 0
-    with path.open("a", newline="") as file:
-        table = csv.DictWriter(file, COLUMNS)
-        if new:
-            table.writeheader()
-            file.flush()
-        for number, row in enumerate(pool.imap_unordered(run_cell, todo), 1):
-            table.writerow(row)
-            file.flush()
-            print(
-                f"{study.name} {number}/{len(todo)}  {row['method']}  {row['x']:g} {row['y']:g}  {row['outcome']}",
-                flush=True,
-            )
+    for number, row in enumerate(pool.imap_unordered(run_cell, todo), 1):
+        tables.append(path, COLUMNS, row)
+        what = f"{row['method']}  {row['x']:g} {row['y']:g}  {row['outcome']}"
+        print(f"{study.name} {number}/{len(todo)}  {what}", flush=True)
 
 
 def letter(reason: str) -> str:
@@ -202,7 +185,7 @@ def main() -> None:
         for name in given.maps:
             if not given.draw:
                 sweep(MAPS[name], given.out, pool)
-            draw(MAPS[name], read(given.out / f"{name}.csv"), given.out / f"{name}.png")
+            draw(MAPS[name], tables.rows(given.out / f"{name}.csv"), given.out / f"{name}.png")
 
 
 if __name__ == "__main__":
