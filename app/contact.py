@@ -25,6 +25,7 @@ from forms.contact.smoothing import to_corners
 from meshes.crowd import Meetings, VisibleFacets, share_facets
 from meshes.overlap import deepest_overlap
 from meshes.pairing import near_points
+from meshes.surface import global_numbers
 
 Array = NDArray[np.float64]
 
@@ -97,16 +98,16 @@ class Contact:
         has moved by more than half of it.
         """
         self.margin = margin
-        index_map = self.space.dofmap.index_map
         position = local_coordinates + local_state[:, : self.dim]
         needed = []
         for p in self.passes:
             slave, master = position[p.slave.nodes], position[p.master.nodes]
-            numbers = _global(index_map, p.master.nodes)
+            numbers = global_numbers(self.space, p.master.nodes)
             own = VisibleFacets(numbers, p.master.orientation, p.master.key, p.master_clump, p.master.rounding)
             p.visible = share_facets(self.comm, slave, p.slave_clump, own, master, margin, p.rule)
-            needed += [_global(index_map, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
-        needed += [_global(index_map, p.slave.nodes).ravel() for p in self.planes[:1]]  # all planes meet the same
+            needed += [global_numbers(self.space, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
+        # All planes meet the same surface.
+        needed += [global_numbers(self.space, p.slave.nodes).ravel() for p in self.planes[:1]]
         self.nodes = np.unique(np.concatenate(needed)) if needed else np.zeros(0, np.int64)
         self._scatter(state)
         values = self._gather(state)
@@ -114,7 +115,7 @@ class Contact:
         self._searched, self._partners_at = False, None
         position = self._reference + values[:, : self.dim]
         for p in self.passes:
-            p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
+            p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
             p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
             if p.segments:
                 # Facets that come nearer than this in a step are cut when it has ended.
@@ -125,7 +126,7 @@ class Contact:
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
             p.found_beyond = np.zeros(len(p.rows))
         for p in self.planes:
-            p.slave_nodes = np.searchsorted(self.nodes, _global(index_map, p.slave.nodes))
+            p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
             p.look(position, margin)
         self.outgrown = False
         self._keep, self._turning = KEEP[0][1], True
@@ -470,10 +471,6 @@ def _nothing(facets: NDArray, components: int, tangent: bool) -> ContactTerms:
     return ContactTerms(
         np.zeros((0, n), np.int64), empty, np.zeros((0, n * components, n * components)) if tangent else None
     )
-
-
-def _global(index_map: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
-    return np.asarray(index_map.local_to_global(nodes.ravel()), np.int64).reshape(nodes.shape)
 
 
 def _sum_by_pair(

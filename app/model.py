@@ -15,11 +15,11 @@ from petsc4py import PETSc
 from app import fenicsx, reductions
 from app.scene import Boundary, Scene
 from app.scene_errors import SceneError
+from forms.contact.gap import point_normals
 from forms.contact.integrals import nodal_points, quadrature_points
 from forms.materials import Material
 from forms.piezo import Load, boundary_loads, law_field
 from meshes.body_mesh import BodyMesh
-from meshes.pairing import point_normals
 from meshes.surface import node_coordinates, surface
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.contact_pass import ContactPass
-from forms.contact.gap import project
-from meshes.pairing import closest_facets, may_touch, point_normals
+from forms.contact.gap import point_normals, project
+from meshes.pairing import closest_facets, may_touch
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from app.scene_sections import Plane
 from forms.contact.augmentation import Shift, respond
+from forms.contact.gap import point_normals
 from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from forms.contact.smoothing import rounded, spread
-from meshes.pairing import FACING, point_normals
+from meshes.pairing import FACING
 from meshes.surface import Surface
 
 Array = NDArray[np.float64]

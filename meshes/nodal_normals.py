@@ -10,9 +10,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from forms.contact.facets import FacetKind
-from forms.contact.gap import facet_normal
+from forms.contact.gap import point_normals
 from forms.contact.smoothing import curved_kind, rounded, rounding
-from meshes.surface import Surface
+from meshes.surface import Surface, global_numbers
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -22,8 +22,7 @@ SHARP = 0.64  # cosine, of 50 degrees: facets that meet at a sharper edge keep i
 
 def smoothed(space: Any, group: Surface) -> Surface:
     """A surface of order 1, of the mesh of `space`, as one of curved facets on the same nodes. Collective."""
-    numbers = space.dofmap.index_map.local_to_global(group.nodes.ravel())
-    numbers = np.asarray(numbers, np.int64).reshape(group.nodes.shape)
+    numbers = global_numbers(space, group.nodes)
     corner = corner_normals(group.kind, group.reference, group.orientation)
     normals, alone = nodal_normals(space.mesh.comm, numbers, group.key, corner)
     kind = curved_kind(group.kind)
@@ -41,13 +40,12 @@ def corner_normals(kind: FacetKind, nodes: Array, orientation: Array) -> Array:
     found = np.zeros_like(nodes)
     for place, corner in enumerate(ring):
         xi = np.tile(kind.nodes[corner], (len(nodes), 1))
-        tangents = np.stack([np.einsum("mk,mkd->md", kind.shape(xi, (a,)), nodes) for a in range(kind.dim)], axis=1)
         first, last = (nodes[:, ring[(place + s) % len(ring)]] - nodes[:, corner] for s in (1, -1))
         squares = (first**2).sum(axis=1), (last**2).sum(axis=1)
         length = 1.0 / np.sqrt(squares[0])
         if kind.dim == 2:
             length = np.linalg.norm(np.cross(first, last), axis=1) / (squares[0] * squares[1])
-        found[:, corner] = facet_normal(tangents, orientation) * length[:, None]
+        found[:, corner] = point_normals(kind, xi, nodes, orientation) * length[:, None]
     return found
 
 

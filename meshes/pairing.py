@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from forms.contact.facets import FacetKind
-from forms.contact.gap import facet_normal, project
+from forms.contact.gap import point_normals, project
 
 Array = NDArray[np.float64]
 
@@ -49,8 +49,7 @@ def facing_pairs(
     center = nodes.mean(axis=1)
     radius = np.linalg.norm(nodes - center[:, None], axis=2).max(axis=1)
     row, facet = _all_within(center, facets, radius + reach)
-    middle = np.full((1, kind.dim), 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
-    mine, theirs = (point_normals(kind, middle.repeat(len(n), axis=0), n, sign) for n, sign in (slaves, masters))
+    mine, theirs = (point_normals(kind, np.tile(kind.middle, (len(n), 1)), n, sign) for n, sign in (slaves, masters))
     faces = np.einsum("md,md->m", mine[row], theirs[facet]) < FACING
     return row[faces], facet[faces]
 
@@ -66,7 +65,7 @@ def may_touch(
     center = facets.mean(axis=1)
     radius = float(np.linalg.norm(facets - center[:, None], axis=2).max())
     distance, nearest = cKDTree(center).query(points, k=range(1, min(LOOKED_AT, len(center)) + 1))
-    middle = np.full((len(facets), kind.dim), 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
+    middle = np.tile(kind.middle, (len(facets), 1))
     outward, normals = normals, point_normals(kind, middle, facets, orientation)
     behind = (np.einsum("mkd,mkd->mk", points[:, None] - center[nearest], normals[nearest]) < 0.0).any(axis=1)
     facing = (np.einsum("mkd,md->mk", normals[nearest], outward) < SAME_WAY).any(axis=1)
@@ -193,12 +192,6 @@ def brute_force_facets(
     return found
 
 
-def point_normals(kind: FacetKind, xi: Array, nodes: Array, orientation: Array) -> Array:
-    """Outward normals (m, d) of slave facets with current nodes (m, n, d) at xi (m, t)."""
-    tangents = np.stack([np.einsum("mk,mkd->md", kind.shape(xi, (a,)), nodes) for a in range(kind.dim)], axis=1)
-    return facet_normal(tangents, orientation)
-
-
 def _size_classes(facets: Array) -> list[tuple[NDArray[np.int64], Array, float]]:
     """Facets by size, within a factor of two: members, centres, largest radius."""
     if not len(facets):
@@ -246,7 +239,7 @@ def _may_be_nearest(
     center = facets.mean(axis=1)
     radius = (1.0 + BULGE) * np.linalg.norm(facets - center[:, None], axis=2).max(axis=1)
     distance = np.linalg.norm(points[row] - center[facet], axis=1)
-    middle = np.tile(kind.nodes.mean(axis=0), (len(facets), 1))
+    middle = np.tile(kind.middle, (len(facets), 1))
     facing = np.einsum("md,md->m", point_normals(kind, middle, facets, orientation)[facet], normals[row])
     sure = facing < SURELY_FACING
     nearest = np.full(len(points), np.inf)
@@ -266,7 +259,7 @@ def _bounds(
 ) -> tuple[Array, Array]:
     """Bounds (k,) of the distances of points to facets: to the flat parallelograms or triangles that touch them in
     their middle, less and more by how far the facets deviate from those."""
-    middle = kind.nodes.mean(axis=0)
+    middle = kind.middle
     tangents = np.stack([np.einsum("k,fkd->fd", kind.shape(middle[None], (a,))[0], facets) for a in range(kind.dim)], 1)
     center = np.einsum("k,fkd->fd", kind.shape(middle[None])[0], facets)
     flat = center[:, None] + (kind.nodes - middle) @ tangents

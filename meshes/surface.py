@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app import fenicsx
 from forms.contact.facets import FacetKind, facet_kind_of
-from forms.contact.gap import facet_normal
+from forms.contact.gap import point_normals
 
 Array = NDArray[np.float64]
 
@@ -63,13 +63,17 @@ def surface(space: Any, name: str, facets: NDArray[np.int32], order: int) -> Sur
     x = node_coordinates(space)
     nodes = cell_nodes[cells[:, None], closure[places]].astype(np.int32).reshape(-1, len(kind.nodes))
     reference = x[nodes]
-    middle = np.full((len(nodes), kind.dim), 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
-    tangents = np.stack([np.einsum("mk,mkd->md", kind.shape(middle, (a,)), reference) for a in range(kind.dim)], axis=1)
     outward = reference.mean(axis=1) - x[cell_nodes[cells]].mean(axis=1)
-    normal = facet_normal(tangents, np.ones(len(nodes)))
+    normal = point_normals(kind, np.tile(kind.middle, (len(nodes), 1)), reference, np.ones(len(nodes)))
     orientation = np.where(np.einsum("md,md->m", normal, outward) > 0.0, 1.0, -1.0)
     key = fenicsx.original_cells(mesh)[cells] * 8 + places
     return Surface(name, kind, nodes, reference, orientation, key, cells, reference[:, :0])
+
+
+def global_numbers(space: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Global numbers of local nodes of a space, in an array of the same shape."""
+    numbers = space.dofmap.index_map.local_to_global(nodes.ravel())
+    return np.asarray(numbers, np.int64).reshape(nodes.shape)
 
 
 def multiplicity(space: Any, surface: Surface) -> Array:

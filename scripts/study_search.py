@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from forms.contact.facets import facet_kind
+from forms.contact.gap import point_normals
 from meshes.crowd import Meetings, Rule, VisibleFacets, share_facets
-from meshes.pairing import closest_facets, may_touch, near_points, point_normals
+from meshes.pairing import closest_facets, may_touch, near_points
 
 Array = NDArray[np.float64]
 

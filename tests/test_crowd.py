@@ -14,10 +14,10 @@ from app.contact_pairs import contact_of
 from app.model import Model
 from app.scene import Scene
 from app.simulation import run
-from forms.contact.gap import project
+from forms.contact.gap import point_normals, project
 from meshes.body_mesh import create
 from meshes.crowd import ONE_TO_ONE, Clusters, Meetings, Rule, overlapping
-from meshes.pairing import brute_force_facets, point_normals
+from meshes.pairing import brute_force_facets
 from tests.histories import assert_equal
 
 MAT: dict[str, Any] = {

@@ -15,15 +15,10 @@ from app.contact_pairs import contact_of
 from app.model import Model
 from app.scene import Scene
 from forms.contact.facets import FacetKind, facet_kind
+from forms.contact.gap import point_normals
 from meshes.body_mesh import create
 from meshes.crowd import CLUSTER, MASTER, ONE_TO_ONE, SLAVE, Clusters, VisibleFacets, share_facets
-from meshes.pairing import (
-    END_TOLERANCE,
-    brute_force_facets,
-    closest_facets,
-    near_points,
-    point_normals,
-)
+from meshes.pairing import END_TOLERANCE, brute_force_facets, closest_facets, near_points
 from tests.facets import KINDS, rotation
 
 Array = NDArray[np.float64]
@@ -44,7 +39,7 @@ def sheet(kind: FacetKind, place: Callable[..., Array], *breaks: Array) -> Array
 
 def outward(kind: FacetKind, facets: Array, inside: Callable[[Array], Array]) -> Array:
     """Orientations that turn the normals away from the point inside(centre) of each facet."""
-    middle = np.full((len(facets), kind.dim), 1.0 / 3.0 if kind.simplex and kind.dim == 2 else 0.5)
+    middle = np.tile(kind.middle, (len(facets), 1))
     center = np.einsum("mk,mkd->md", kind.shape(middle), facets)
     normal = point_normals(kind, middle, facets, np.ones(len(facets)))
     return np.where(np.einsum("md,md->m", normal, center - inside(center)) > 0.0, 1.0, -1.0)

@@ -13,10 +13,10 @@ from app import fenicsx
 from app.scene import Scene, SceneError
 from app.simulation import run
 from forms.contact.facets import facet_kind
+from forms.contact.gap import point_normals
 from forms.contact.smoothing import rounded, spread
 from meshes.body_mesh import Partition, create
 from meshes.nodal_normals import smoothed
-from meshes.pairing import point_normals
 from meshes.shapes import CrossedFibers, MeshSizes, Shape, StackedBlocks
 from meshes.surface import Surface, body_facets, surface
 from tests.scenes import press

@@ -10,9 +10,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from app import fenicsx
+from forms.contact.gap import point_normals
 from forms.contact.integrals import quadrature_points
 from meshes.body_mesh import BodyMesh, Partition, create
-from meshes.pairing import point_normals
 from meshes.shapes import CrossedFibers, FacingHalves, MeshSizes, Shape, StackedBlocks
 from meshes.surface import Surface, body_facets, multiplicity, node_coordinates, surface
 

@@ -46,6 +46,11 @@ class FacetKind:
         return self.nodes.shape[1]
 
     @property
+    def middle(self) -> Array:
+        """Middle (t,) of the reference facet."""
+        return np.full(self.dim, 1.0 / (self.dim + 1) if self.simplex else 0.5)
+
+    @property
     def order(self) -> int:
         """Polynomial order of the facet."""
         return 1 if self.name in ("line2", "tri3", "quad4") else 2

@@ -68,6 +68,11 @@ def facet_normal(tangents: Array, orientation: Array) -> Array:
     return normal * (orientation / np.linalg.norm(normal, axis=1))[:, None]
 
 
+def point_normals(kind: FacetKind, xi: Array, nodes: Array, orientation: Array) -> Array:
+    """Outward normals (m, d) of facets with nodes (m, n, d), each at its own point xi (m, t)."""
+    return facet_normal(_gradient(kind, xi, nodes), orientation)
+
+
 def project(
     kind: FacetKind,
     points: Array,
@@ -81,7 +86,7 @@ def project(
     `xi` starts the iteration on curved facets (default: the middle). Newton's method on the squared distance, with
     the curvature term left out where it would lose the minimum; `iterations` bounds it.
     """
-    xi = np.tile(_middle(kind), (len(points), 1)) if xi is None else np.array(xi, float)
+    xi = np.tile(kind.middle, (len(points), 1)) if xi is None else np.array(xi, float)
     active = np.arange(len(points))
     for _ in range(1 if kind.affine else iterations):
         if not len(active):
@@ -117,10 +122,6 @@ def _least_eigenvalue(matrix: Array) -> Array:
         return matrix[:, 0, 0]
     half = 0.5 * (matrix[:, 0, 0] + matrix[:, 1, 1])
     return half - np.hypot(0.5 * (matrix[:, 0, 0] - matrix[:, 1, 1]), matrix[:, 0, 1])
-
-
-def _middle(kind: FacetKind) -> Array:
-    return np.full(kind.dim, 1.0 / (kind.dim + 1) if kind.simplex else 0.5)
 
 
 @dataclass
