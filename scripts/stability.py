@@ -5,7 +5,8 @@
     scripts/stability out --draw                  only draws anew what out holds
 
 A map is a table NAME.csv with a row a cell (error, Newton iterations, cuts, seconds, reason) and a picture NAME.png.
-Cells that the table holds are not run again. The scenes and references are in stability_maps.py.
+Cells that the table holds are not run again. The methods are in stability_methods.py, scenes and
+references in stability_maps.py.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot
 from matplotlib.colors import BoundaryNorm, ListedColormap
+from mpi4py import MPI
 
 from scripts import tables
-from scripts.stability_maps import COMM, MAPS, METHODS, Map
+from scripts.stability_maps import MAPS, Map
+from scripts.stability_methods import METHODS
 
 COLUMNS = ["method", "x", "y", "outcome", "error", "newton", "cutbacks", "seconds", "reason"]
 OUTCOMES = {"right": "#7fbf7b", "wrong": "#d73027", "failed": "#bdbdbd"}
@@ -69,7 +72,7 @@ def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
     try:
         sign = minus_as_plus(simulation.contact_of) if method.plus else simulation.contact_of
         with patch.object(simulation, "contact_of", sign):
-            finished = simulation.run(study.scene(method, x, y), COMM)
+            finished = simulation.run(study.scene(method, x, y), MPI.COMM_SELF)
         error = study.error(finished, x, y)
         row["outcome"] = "right" if error <= study.tolerance else "wrong"
         row["error"] = f"{error:.3g}"

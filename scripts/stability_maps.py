@@ -15,64 +15,17 @@ from typing import Any
 import dolfinx
 import numpy as np
 import ufl
-from mpi4py import MPI
 
 from app import fenicsx
 from app.scene import Scene
 from app.simulation import Run
+from scripts.stability_methods import METHODS, Method
 from tests import references as ref
 from tests.scenes import Points
 
 RADIUS, YOUNG, POISSON = 0.5, 2500.0, 0.3
 MODULUS = ref.contact_modulus((YOUNG, POISSON), (YOUNG, POISSON))
 RELATIVE = ref.relative_radius(RADIUS, RADIUS)
-STIFFNESS = float(ref.PVDF.stiffness[2, 2])  # of contact.normal_penalty_factor's definition, nearly
-QUIET = {"fields": "none", "picture": False}
-
-
-@dataclass(frozen=True)
-class Method:
-    """A column: contact keys, order and kinematics; `plus` flips the sign of the electric term, as printed."""
-
-    name: str
-    contact: dict[str, Any]
-    order: int = 1
-    kinematics: str = "small"
-    plus: bool = False
-
-    def scene(self, **sections: Any) -> Scene:
-        """A scene with this method; `contact` and `mesh` are added to its own."""
-        contact, mesh = {**self.contact, **sections.pop("contact", {})}, sections.pop("mesh", {})
-        if contact.get("nodal_weight") == "unit" and "normal_penalty_factor" in contact:
-            # A spring a node has no area: times stiffness alone it is as stiff as the others' are on a facet.
-            contact["normal_penalty"] = contact.pop("normal_penalty_factor") * STIFFNESS
-        return Scene(
-            **{
-                "mesh": {"order": self.order, **mesh},
-                "model": {"kinematics": self.kinematics},
-                "contact": contact,
-                "output": QUIET,
-                "solver": {"max_cutbacks": 4},
-                **sections,
-            }
-        )
-
-
-PAPER = Method("paper", {"method": "node", "passes": 1, "nodal_weight": "unit"}, plus=True)
-METHODS = [
-    PAPER,
-    Method("node", {"method": "node", "passes": 1}),
-    Method("point", {"method": "point"}),
-    Method("segment", {"method": "segment"}),
-    Method("point, order 2", {"method": "point"}, order=2),
-    Method("segment, order 2", {"method": "segment"}, order=2),
-    Method("point, smoothed", {"method": "point", "smoothing": True}),
-    Method("segment, smoothed", {"method": "segment", "smoothing": True}),
-    Method("point, finite", {"method": "point"}, kinematics="finite"),
-    Method("segment, finite", {"method": "segment"}, kinematics="finite"),
-]
-
-
 UNSMOOTHED = tuple(method.name for method in METHODS if "smoothed" not in method.name)
 
 
@@ -326,13 +279,13 @@ SLIDE = Map(
 )
 
 
-def around(method: Method, facets: float, stiffness: float) -> Scene:
-    """A fiber pressed by 0.02 um on one below and slid around it, by three of its facets in steps of an eighth of one.
+def around(method: Method, facets: float, stiffness: float, steps: int = 24) -> Scene:
+    """A fiber pressed by 0.02 um on one below and slid around it by three of its facets.
 
     A lower fiber that is stiffer meets one of finer facets, as a coarse mesh may serve where little is strained.
     """
     facet, axes = 2.0 * math.pi * RADIUS / facets, 2.0 * RADIUS - 0.02
-    angle = np.linspace(-1.5, 1.5, 25) * facet / axes
+    angle = np.linspace(-1.5, 1.5, steps + 1) * facet / axes
     way = axes * np.stack([np.sin(angle), np.cos(angle)]) - [[0.0], [2.0 * RADIUS]]
     return method.scene(
         geometry={"shape": "facing_halves", "radius": RADIUS},
@@ -348,19 +301,21 @@ def around(method: Method, facets: float, stiffness: float) -> Scene:
             {"on": "top", "displacement": [1.0, "free"], "follows": "x"},
             {"on": "top", "displacement": ["free", 1.0], "follows": "y"},
         ],
-        load={"steps": [2] + [1] * 24, "factors": {"x": way[0].tolist(), "y": way[1].tolist()}},
+        load={"steps": [2] + [1] * steps, "factors": {"x": way[0].tolist(), "y": way[1].tolist()}},
     )
 
 
-def ripple(run: Run) -> float:
-    """Root mean square of the normal force's change on the way, beside a smooth one, over the force."""
+def ripple(run: Run) -> tuple[float, float]:
+    """On the way around: root mean square of the normal force's change, beside a smooth one, and the largest
+    tangential force, both over the normal force."""
     rows = run.history[1:]
     x, y = (np.array([row[f"factor:{name}"] for row in rows]) for name in "xy")
     angle = np.arctan2(x, y + 2.0 * RADIUS)
     force = np.array([[row["force_x@top"], row["force_y@top"]] for row in rows])
     normal = -force[:, 0] * np.sin(angle) - force[:, 1] * np.cos(angle)
+    along = force[:, 0] * np.cos(angle) - force[:, 1] * np.sin(angle)
     smooth = np.polynomial.Polynomial.fit(angle, normal, 2)(angle)
-    return float(np.sqrt(np.mean((normal / smooth - 1.0) ** 2)))
+    return float(np.sqrt(np.mean((normal / smooth - 1.0) ** 2))), float(np.abs(along / normal).max())
 
 
 RIPPLE = Map(
@@ -371,7 +326,7 @@ RIPPLE = Map(
     ("stiffness, lower / upper", [1.0, 100.0]),
     0.01,
     around,
-    lambda run, x, y: ripple(run),
+    lambda run, x, y: ripple(run)[0],
     tuple(method.name for method in METHODS),
 )
 
@@ -415,4 +370,3 @@ PILE = Map(
 )
 
 MAPS = {m.name: m for m in (PENALTY, RATIO, COUPLING, FACETS, SLIDE, RIPPLE, PILE, ADHESION)}
-COMM = MPI.COMM_SELF

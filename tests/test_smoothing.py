@@ -19,6 +19,8 @@ from meshes.body_mesh import Partition, create
 from meshes.nodal_normals import smoothed
 from meshes.shapes import CrossedFibers, MeshSizes, Shape, StackedBlocks
 from meshes.surface import Surface, body_facets, surface
+from scripts.stability_maps import around, ripple
+from scripts.stability_methods import Method
 from tests.scenes import press
 from tests.test_ranks import strips
 from tests.test_segment_patch import patch, stress_error
@@ -172,39 +174,13 @@ def test_tangent_is_the_derivative_of_the_residual(name: str, method: str, rng: 
     assert (difference - product).norm() < 1e-5 * product.norm()
 
 
-def ripple(smoothing: bool, method: str) -> tuple[float, float]:
-    """A fine fiber slid around one a hundred times stiffer, of 24 facets a circle, over three of its facets.
-
-    Root mean square of the normal force's change, and the largest tangential force, over the normal one.
-    """
-    approach, steps = 0.02, 16
-    angle = np.linspace(-1.5, 1.5, steps + 1) * 2.0 * np.pi * RADIUS / 24 / (2.0 * RADIUS - approach)
-    way = (2.0 * RADIUS - approach) * np.stack([np.sin(angle), np.cos(angle)])
-    way[1] -= 2.0 * RADIUS
-    scene = press(
-        {"shape": "facing_halves", "radius": RADIUS},
-        mesh={"size": 0.15, "contact_size": 2.0 * np.pi * RADIUS / 24, "size_factors": {"upper": 0.2}},
-        materials={"stiff": {"young": 250000.0, "poisson": 0.3}},
-        bodies={"lower": "stiff", "upper": "elastic"},
-        boundaries=[
-            {"on": "bottom", "displacement": [0, 0]},
-            {"on": "top", "displacement": [1.0, "free"], "follows": "x"},
-            {"on": "top", "displacement": ["free", 1.0], "follows": "y"},
-        ],
-        contact={"method": method, "smoothing": smoothing},
-        load={"steps": [2] + [1] * steps, "factors": {"x": way[0].tolist(), "y": way[1].tolist()}},
-    )
-    force = np.array([[row["force_x@top"], row["force_y@top"]] for row in run(scene, MPI.COMM_SELF).history[1:]])
-    normal = -force[:, 0] * np.sin(angle) - force[:, 1] * np.cos(angle)
-    along = force[:, 0] * np.cos(angle) - force[:, 1] * np.sin(angle)
-    fit = np.polynomial.Polynomial.fit(angle, normal, 2)(angle)
-    return float(np.sqrt(np.mean((normal / fit - 1.0) ** 2))), float(np.abs(along / normal).max())
-
-
 @pytest.mark.parametrize("method", ["point", "segment"])
 def test_a_fiber_slides_smoothly_round_a_coarse_stiff_one(method: str) -> None:
     """Ripple of the normal force a third at most, catching of corners a fifth at most of what they are with facets."""
-    flat, smooth = ripple(False, method), ripple(True, method)
+    flat, smooth = (
+        ripple(run(around(Method("", {"method": method, "smoothing": smoothing}), 24, 100.0, steps=16), MPI.COMM_SELF))
+        for smoothing in (False, True)
+    )
     assert smooth[0] < flat[0] / 3.0
     assert smooth[1] < flat[1] / 5.0
 
