@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,11 @@ from petsc4py import PETSc
 
 from app import reductions
 from app.contact_pass import ContactPass, Pairs
+from app.contact_terms import ContactTerms, NodalState, no_terms, terms_of_pass, terms_of_plane
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
-from forms.contact.augmentation import corner_kind, respond, together
-from forms.contact.facets import FacetKind
-from forms.contact.gap import project
-from forms.contact.integrals import contact_vectors
-from forms.contact.laws import Drag, Response
-from forms.contact.smoothing import to_corners
+from forms.contact.augmentation import corner_kind, together
+from forms.contact.laws import Drag
 from meshes.crowd import Meetings, VisibleFacets, share_facets
 from meshes.overlap import deepest_overlap
 from meshes.pairing import near_points
@@ -37,15 +33,6 @@ NEAR = 0.5  # facets: points nearer to touch than this may soon do so
 # Relative residual below which the tangent knows that tractions turn with their facets. Far from equilibrium tractions
 # are wrong by much more than they are worth, and those terms, of either sign, make the tangent indefinite.
 TURNING = 1e-2
-
-
-@dataclass
-class ContactTerms:
-    """One evaluation: for each pair of facets in contact its nodes (numbers in `Contact.nodes`) and its terms."""
-
-    nodes: NDArray[np.int64]
-    vectors: Array
-    matrices: Array | None
 
 
 class Contact:
@@ -80,7 +67,7 @@ class Contact:
         self._keep = KEEP[0][1]
         self._turning = True
         self.dragged = False  # whether bonds resist their opening
-        self._of_planes: list[ContactTerms] = [_nothing(p.slave.nodes, self.components, False) for p in self.planes]
+        self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
         sizes = [np.log(p.size) for p in self.every]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self.last_penetration = 0.0  # at the end of the last converged step, um
@@ -172,21 +159,32 @@ class Contact:
         # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
         # ask for what may soon touch.
         reach = max(self.reach + (NEAR + 2.0 * DRIFT) * self._facet, self.ahead)
-        self._search = Search(self._keep, everywhere, reach, 2.0 * self.margin, 2.0 * self.last_penetration)
+        look = Search(self._keep, everywhere, reach, 2.0 * self.margin, 2.0 * self.last_penetration)
         # A tangent is mostly asked for where the residual was evaluated last: partners and projections are at hand.
-        self._same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
+        same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
         self._partners_at = position
         potentials = values[:, self.dim] if self.potential_scale is not None else None
+        at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls)
         try:
-            terms = [self._evaluate(p, position, potentials, tangent) for p in self.passes]
-            terms += [self._meet(p, position, potentials, tangent) for p in self.planes]
+            if not same:
+                for p in self.passes:
+                    find_partners(p, position, look)
+            of_passes = [
+                terms_of_pass(p, at, tangent=tangent, turning=self._turning, dragged=self.dragged) for p in self.passes
+            ]
+            of_planes = [terms_of_plane(p, at, tangent=tangent) for p in self.planes]
+            failed = False
         except (np.linalg.LinAlgError, ValueError) as error:
             log.debug("contact cannot be evaluated at this state: %s", error)
-            terms = self._partners_at = None
+            failed, self._partners_at = True, None
         # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
-        self.broken = self.comm.allreduce(terms is None, op=MPI.LOR)
+        self.broken = self.comm.allreduce(failed, op=MPI.LOR)
         if self.broken:
-            terms = [_nothing(p.slave.nodes, self.components, tangent) for p in self.every]
+            of_passes, of_planes = (
+                [no_terms(p, self.components, tangent=tangent) for p in passes] for passes in (self.passes, self.planes)
+            )
+        self._of_planes = of_planes
+        terms = [*of_passes, *of_planes]
         size = 2 * self.every[0].slave.nodes.shape[1]
         nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
         vectors = np.concatenate([t.vectors for t in terms])
@@ -249,25 +247,8 @@ class Contact:
 
     def add_forces_of_planes(self, residual: PETSc.Vec) -> None:
         """Add the planes' share of the last evaluation to a distributed residual."""
-        for p, terms in zip(self.planes, self._of_planes, strict=True):
-            self._add(terms.nodes.reshape(-1, 2 * p.slave.nodes.shape[1]), terms.vectors, residual)
-
-    def _meet(self, p: PlanePass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
-        facet, nodes, vectors, matrices = p.evaluate(
-            position, potentials, self.components, self.potential_scale, tangent=tangent, pulls=self.pulls
-        )
-        # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
-        nodes, vectors = (
-            np.concatenate([nodes, nodes], axis=1),
-            np.pad(vectors, ((0, 0), (0, vectors.shape[1]), (0, 0))),
-        )
-        if matrices is not None:
-            matrices = np.pad(matrices, ((0, 0), *((0, matrices.shape[1]),) * 2))
-        terms, facets = _sum_by_pair(facet, nodes, vectors, matrices)
-        offsets = p.slave.rounding[facets]
-        terms = _to_corners(p.slave.kind, terms, offsets, offsets)
-        self._of_planes[p.pair - self.planes[0].pair] = terms
-        return terms
+        for terms in self._of_planes:
+            self._add(terms.nodes, terms.vectors, residual)
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
         local = np.zeros((len(self.nodes), self.components))
@@ -401,58 +382,6 @@ class Contact:
         total = reductions.total(self.comm, sums)
         return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
 
-    def _evaluate(self, p: ContactPass, position: Array, potentials: Array | None, tangent: bool) -> ContactTerms:
-        kind = p.slave.kind
-        slave = p.slave_nodes[p.points.facet[p.rows]]
-        points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
-        if not self._same:
-            find_partners(p, points, position, self._search)
-            p.met = np.flatnonzero(p.facet >= 0)
-        p.position = points[p.met]
-        facet, rows = p.facet[p.met], p.rows[p.met]
-        master = p.master_nodes[facet]
-        if not self._same:
-            masters = p.master_at(position, facet)
-            p.projection = project(kind, points[p.met], masters, p.visible.orientation[facet], p.xi[p.met])
-            p.xi[p.met] = p.projection.xi
-        slave, shape = slave[p.met], p.points.shape[rows]
-        p.jump = None
-        law, scale = p.law[rows], self.potential_scale
-        if potentials is not None and law.electric_penalty is not None:
-            here, there = p.potentials_at(potentials, p.points.facet[rows], facet)
-            p.jump = np.einsum("mk,mk->m", shape, here)
-            p.jump = scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
-        shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
-        p.gap = p.projection.gap + shift[0]
-        r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift, pulls=self.pulls)
-        if self.dragged:
-            r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
-            r.curvature = r.curvature + p.drag.stiffness[rows]
-        active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
-        scaled = r
-        if p.jump is not None:
-            scaled = Response(**{**r.__dict__, "charge": scale * r.charge, "mixed": scale * r.mixed})
-            scaled.electric_curvature = scale**2 * r.electric_curvature
-        scaled = Response(**{name: value[active] for name, value in scaled.__dict__.items()})
-        vectors, matrices = contact_vectors(
-            kind,
-            p.projection[active],
-            shape[active],
-            p.share * p.points.weight[rows][active],
-            scaled,
-            self.components,
-            there[active] if p.jump is not None else None,
-            tangent=tangent,
-            turning=self._turning,
-        )
-        nodes = np.concatenate([slave[active], master[active]], axis=1)
-        p.force = np.zeros((len(rows), self.dim))
-        p.force[active] = -vectors[:, : len(kind.nodes), : self.dim].sum(axis=1)
-        pair_of_facets = p.points.facet[rows][active] * max(len(p.visible), 1) + facet[active]
-        terms, pairs = _sum_by_pair(pair_of_facets, nodes, vectors, matrices)
-        own, other = np.divmod(pairs, max(len(p.visible), 1))
-        return _to_corners(kind, terms, p.slave.rounding[own], p.visible.rounding[other])
-
     def _scatter(self, state: PETSc.Vec) -> None:
         bs = self.components
         wanted = PETSc.IS().createBlock(bs, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
@@ -463,28 +392,3 @@ class Contact:
     def _gather(self, vector: PETSc.Vec) -> Array:
         self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
         return self._local.array.reshape(-1, self.components).copy()
-
-
-def _nothing(facets: NDArray, components: int, tangent: bool) -> ContactTerms:
-    n = 2 * facets.shape[1]
-    empty = np.zeros((0, n, components))
-    return ContactTerms(
-        np.zeros((0, n), np.int64), empty, np.zeros((0, n * components, n * components)) if tangent else None
-    )
-
-
-def _sum_by_pair(
-    pair: NDArray[np.int64], nodes: NDArray[np.int64], vectors: Array, matrices: Array | None
-) -> tuple[ContactTerms, NDArray[np.int64]]:
-    """Sums over the points of each facet pair, and the pairs: the matrix is scattered once a pair, not once a point."""
-    if not len(pair):
-        return ContactTerms(nodes, vectors, matrices), pair
-    order = np.argsort(pair, kind="stable")
-    pairs, first = np.unique(pair[order], return_index=True)
-    summed = None if matrices is None else np.add.reduceat(matrices[order], first)
-    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed), pairs
-
-
-def _to_corners(kind: FacetKind, terms: ContactTerms, slave: Array, master: Array) -> ContactTerms:
-    """Terms of pairs of facets, curved on their corners by `rounding`, in terms of these corners."""
-    return ContactTerms(terms.nodes, *to_corners(kind, terms.vectors, terms.matrices, (slave, master)))

@@ -35,12 +35,14 @@ class Search:
     depth: float
 
 
-def find_partners(p: ContactPass, points: Array, position: Array, search: Search) -> None:
-    """Keep the facets of the points (m, d) of a pass as long as they project onto them; search for the others'.
+def find_partners(p: ContactPass, position: Array, search: Search) -> None:
+    """Keep the facets of a pass's points as long as they project onto them, search for the others', and project.
 
-    position (n, d): where the nodes are. Sets the pass's `facet`, `xi` and `found_beyond`.
+    position (n, d): where the nodes are. Sets the pass's `facet`, `xi`, `found_beyond`, `met`, `position` and
+    `projection`.
     """
     kind = p.slave.kind
+    points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
     lost = (p.facet < 0) & search.everywhere
     have = np.flatnonzero(p.facet >= 0)
     if len(have):
@@ -53,6 +55,11 @@ def find_partners(p: ContactPass, points: Array, position: Array, search: Search
         lost[have[kind.overshoot(xi) > np.maximum(search.keep, left)]] = True
     if lost.any():
         _look_for(p, points, position, lost, search)
+    p.met = np.flatnonzero(p.facet >= 0)
+    p.position, facet = points[p.met], p.facet[p.met]
+    masters = p.master_at(position, facet)
+    p.projection = project(kind, p.position, masters, p.visible.orientation[facet], p.xi[p.met])
+    p.xi[p.met] = p.projection.xi
 
 
 def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:

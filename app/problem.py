@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import fenicsx, reductions
-from app.contact import Contact, ContactTerms
+from app.contact import Contact
+from app.contact_terms import ContactTerms
 from app.matrix import TangentMatrix
 from app.model import Model
 from app.timing import Timer

@@ -1,0 +1,128 @@
+"""What contact passes and planes add to residual and tangent at a state, summed over each pair of facets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.contact_pass import ContactPass
+from app.planes import PlanePass
+from forms.contact.augmentation import respond
+from forms.contact.facets import FacetKind
+from forms.contact.integrals import contact_vectors
+from forms.contact.laws import Response
+from forms.contact.smoothing import to_corners
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NodalState:
+    """The state that contact is evaluated at: position (n, d) of the nodes, um, and their potential unknowns (n,).
+
+    These times `scale` are potentials, V; both are None where there are none. components: unknowns of a node. pulls:
+    whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`.
+    """
+
+    position: Array
+    potentials: Array | None
+    components: int
+    scale: float | None
+    pulls: bool
+
+
+@dataclass
+class ContactTerms:
+    """For each pair of facets in contact its nodes (k, n) (numbers in `Contact.nodes`) and its terms.
+
+    vectors (k, n, components) and, of the tangent, matrices (k, n * components, n * components).
+    """
+
+    nodes: NDArray[np.int64]
+    vectors: Array
+    matrices: Array | None
+
+
+def no_terms(p: ContactPass | PlanePass, components: int, *, tangent: bool) -> ContactTerms:
+    """The terms of a pass where nothing is in contact."""
+    n = 2 * p.slave.nodes.shape[1]
+    matrices = np.zeros((0, n * components, n * components)) if tangent else None
+    return ContactTerms(np.zeros((0, n), np.int64), np.zeros((0, n, components)), matrices)
+
+
+def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, turning: bool, dragged: bool) -> ContactTerms:
+    """The terms of a pass whose points have met their partners; sets its `jump`, `gap`, `response` and `force`.
+
+    turning: see `contact_vectors`; dragged: whether the pass's drag counts.
+    """
+    kind, rows, partner = p.slave.kind, p.rows[p.met], p.facet[p.met]
+    facet, xi, shape, law = p.points.facet[rows], p.points.xi[rows], p.points.shape[rows], p.law[rows]
+    p.jump = None
+    if at.potentials is not None and law.electric_penalty is not None:
+        here, there = p.potentials_at(at.potentials, facet, partner)
+        p.jump = np.einsum("mk,mk->m", shape, here)
+        p.jump = at.scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
+    shift = p.shift.at(kind, facet, xi)
+    p.gap = p.projection.gap + shift[0]
+    r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift, pulls=at.pulls)
+    if dragged:
+        r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
+        r.curvature = r.curvature + p.drag.stiffness[rows]
+    active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
+    scaled = r
+    if p.jump is not None:
+        scaled = Response(**{**r.__dict__, "charge": at.scale * r.charge, "mixed": at.scale * r.mixed})
+        scaled.electric_curvature = at.scale**2 * r.electric_curvature
+    scaled = Response(**{name: value[active] for name, value in scaled.__dict__.items()})
+    vectors, matrices = contact_vectors(
+        kind,
+        p.projection[active],
+        shape[active],
+        p.share * p.points.weight[rows][active],
+        scaled,
+        at.components,
+        there[active] if p.jump is not None else None,
+        tangent=tangent,
+        turning=turning,
+    )
+    d = at.position.shape[1]
+    p.force = np.zeros((len(rows), d))
+    p.force[active] = -vectors[:, : len(kind.nodes), :d].sum(axis=1)
+    facet, partner, masters = facet[active], partner[active], max(len(p.visible), 1)
+    nodes = np.concatenate([p.slave_nodes[facet], p.master_nodes[partner]], axis=1)
+    terms, pairs = _sum_by_pair(facet * masters + partner, nodes, vectors, matrices)
+    own, other = np.divmod(pairs, masters)
+    return _on_corners(kind, terms, p.slave.rounding[own], p.visible.rounding[other])
+
+
+def terms_of_plane(p: PlanePass, at: NodalState, *, tangent: bool) -> ContactTerms:
+    """The terms of a plane, which is evaluated for them."""
+    facet, nodes, vectors, matrices = p.evaluate(
+        at.position, at.potentials, at.components, at.scale, tangent=tangent, pulls=at.pulls
+    )
+    # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
+    nodes, vectors = np.concatenate([nodes, nodes], axis=1), np.pad(vectors, ((0, 0), (0, vectors.shape[1]), (0, 0)))
+    if matrices is not None:
+        matrices = np.pad(matrices, ((0, 0), *((0, matrices.shape[1]),) * 2))
+    terms, facets = _sum_by_pair(facet, nodes, vectors, matrices)
+    offsets = p.slave.rounding[facets]
+    return _on_corners(p.slave.kind, terms, offsets, offsets)
+
+
+def _sum_by_pair(
+    pair: NDArray[np.int64], nodes: NDArray[np.int64], vectors: Array, matrices: Array | None
+) -> tuple[ContactTerms, NDArray[np.int64]]:
+    """Sums over the points of each facet pair, and the pairs: the matrix is scattered once a pair, not once a point."""
+    if not len(pair):
+        return ContactTerms(nodes, vectors, matrices), pair
+    order = np.argsort(pair, kind="stable")
+    pairs, first = np.unique(pair[order], return_index=True)
+    summed = None if matrices is None else np.add.reduceat(matrices[order], first)
+    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed), pairs
+
+
+def _on_corners(kind: FacetKind, terms: ContactTerms, slave: Array, master: Array) -> ContactTerms:
+    """Terms of pairs of facets, curved on their corners by `rounding`, in terms of these corners."""
+    return ContactTerms(terms.nodes, *to_corners(kind, terms.vectors, terms.matrices, (slave, master)))
