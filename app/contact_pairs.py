@@ -21,7 +21,6 @@ from forms.contact.augmentation import corner_kind
 from forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
 from forms.contact.laws import Adhesion, InterfaceLaw
 from forms.contact.lennard_jones import LennardJones
-from forms.materials import Material
 from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule
 from meshes.nodal_normals import smoothed
 from meshes.surface import Surface, body_facets, multiplicity, surface
@@ -77,7 +76,7 @@ def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
     rule = Rule(len(bodies.part_bodies), ordered=keys.passes == 1)
     outside = fenicsx.exterior_facets(model.mesh)
     whole = surface(model.space, "outside", outside, bodies.order)
-    kinds = [(stiffness_of(m), permittivity_of(m)) for m in model.materials]
+    kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
     surfaces, clumps = {}, {}
     for kind in dict.fromkeys(kinds):
         of_kind = np.array([k == kind for k in kinds])[bodies.cell_body[whole.cells]]
@@ -122,8 +121,8 @@ def _planes(model: Model, first_number: int) -> list[PlanePass]:
         points = _nodal(outside)
     size = _facet_sizes(outside)[points.facet]
     body = model.bodies.cell_body[outside.cells[points.facet]]
-    stiffness = np.array([stiffness_of(m) for m in model.materials])[body]
-    permittivity = np.array([permittivity_of(m) for m in model.materials])[body]
+    stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
+    permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
     low = reductions.least(model.comm, model.coordinates.min(axis=0, initial=np.inf))
     high = reductions.largest(model.comm, model.coordinates.max(axis=0, initial=-np.inf))
     found = []
@@ -192,10 +191,10 @@ def _pass(
         points = _nodal(slave, shared)
     size = _facet_sizes(slave)[points.facet]
     materials = [model.materials[i] for i in _bodies_of(model, slave) | _bodies_of(model, master)]
-    stiffness = np.full(len(size), min(stiffness_of(m) for m in materials))
-    permittivity = np.full(len(size), min(permittivity_of(m) for m in materials))
+    stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))
+    permittivity = np.full(len(size), min(m.mean_permittivity for m in materials))
     # Where one of the bodies has no permittivity, no charge passes.
-    electric = permittivity if all(m.permittivity is not None for m in materials) else None
+    electric = permittivity if all(m.electric for m in materials) else None
     law = _interface_law(keys, size, stiffness, electric, model)
     depth, share, cuts = _depth(model, slave, master), 1.0 / keys.passes, keys.method == "segment"
     clumps = slave_clump, master_clump, rule
@@ -217,16 +216,6 @@ def _interface_law(
         fade = FADE * size if keys.electric_range is None else np.full(len(size), keys.electric_range)
     adhesion = _adhesion(adhesive, penalty) if adhesive is not None else None
     return InterfaceLaw(penalty, adhesion, electric, fade)
-
-
-def stiffness_of(material: Material) -> float:
-    """Mean of the stiffnesses along the axes, MPa."""
-    return float(np.diag(material.stiffness)[:3].mean())
-
-
-def permittivity_of(material: Material) -> float:
-    """Mean permittivity, pC/(V um); 0 for a body without potential."""
-    return 0.0 if material.permittivity is None else float(np.diag(material.permittivity).mean())
 
 
 def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:

@@ -68,7 +68,7 @@ class _Operator:
         fixed = self.problem.model.fixed
         x.copy(self._free)
         self._free.array[fixed] = 0.0
-        self.problem.lift(self._free, result)
+        self.problem.multiply(self._free, result)
         result.array[fixed] = x.array_r[fixed]
 
 

@@ -65,12 +65,12 @@ class Model:
         self.comm: MPI.Comm = self.mesh.comm
         self.dim: int = self.mesh.geometry.dim
         self.materials: list[Material] = [scene.material(name) for name in bodies.bodies]
-        self.electric = any(m.permittivity is not None for m in self.materials)
-        self.stiffness = max(float(np.diag(m.stiffness)[:3].mean()) for m in self.materials)
+        self.electric = any(m.electric for m in self.materials)
+        self.stiffness = max(m.mean_stiffness for m in self.materials)
         self.potential_scale: float | None = None
         if self.electric:
-            permittivity = [np.diag(m.permittivity).mean() for m in self.materials if m.permittivity is not None]
-            self.potential_scale = float(np.sqrt(self.stiffness / max(permittivity)))
+            permittivity = max(m.mean_permittivity for m in self.materials)
+            self.potential_scale = float(np.sqrt(self.stiffness / permittivity))
         self.space = fenicsx.lagrange(self.mesh, bodies.order, self.dim + self.electric)
         self.block: int = self.dim + self.electric
         self.state = dolfinx.fem.Function(self.space)
@@ -95,9 +95,8 @@ class Model:
     def _modulus(self, members: list[int]) -> Array:
         """Stiffness of the softest body of a part, MPa, and the same for the potential unknown."""
         materials = [self.materials[i] for i in members]
-        permittivity = [np.diag(m.permittivity).mean() for m in materials if m.permittivity is not None]
-        electric = min(permittivity, default=0.0) * (self.potential_scale or 0.0) ** 2
-        return np.array([min(float(np.diag(m.stiffness)[:3].mean()) for m in materials), electric])
+        permittivity = min((m.mean_permittivity for m in materials if m.electric), default=0.0)
+        return np.array([min(m.mean_stiffness for m in materials), permittivity * (self.potential_scale or 0.0) ** 2])
 
     @property
     def loose(self) -> bool:
@@ -185,7 +184,7 @@ class Model:
         count = self.owned + self._index_map.num_ghosts
         self.node_part = np.zeros(count, np.int64)
         self.node_part[nodes] = self.bodies.cell_part[: len(nodes), None]
-        dielectric = np.array([m.permittivity is not None for m in self.materials])
+        dielectric = np.array([m.electric for m in self.materials])
         charged = np.zeros(count)
         charged[nodes[dielectric[self.bodies.cell_body[: len(nodes)]]]] = 1.0
         self.dielectric_node = fenicsx.sum_over_ranks(self.space, charged) > 0.0

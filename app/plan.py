@@ -50,7 +50,7 @@ def _mesh(model: Model) -> str:
 def _unknowns(model: Model) -> str:
     displacements = ", ".join(f"u_{axis}" for axis in AXES[: model.dim])
     if model.electric:
-        without = [n for n, m in zip(model.bodies.bodies, model.materials, strict=True) if m.permittivity is None]
+        without = [n for n, m in zip(model.bodies.bodies, model.materials, strict=True) if not m.electric]
         note = f"; no potential in {', '.join(without)} (no permittivity)" if without else ""
         return f"{model.unknowns}: {displacements} and the potential at each node{note}"
     return f"{model.unknowns}: {displacements} at each node; no potential, since no material has a permittivity"

@@ -98,7 +98,7 @@ class Problem:
         self.collect_garbage()
 
     def set_loads(self, factors: dict[str, float]) -> None:
-        """Go to a load level: the loads and the values of the fixed unknowns (taken up by `predict`)."""
+        """Go to a load level: the loads and the values of the fixed unknowns (taken up by Newton's start value)."""
         self.model.set_loads(factors)
         if self.contact is not None:
             self.contact.move_planes(factors)
@@ -135,7 +135,7 @@ class Problem:
         result.array[self.model.fixed] = 0.0
 
     def linearize(self, x: PETSc.Vec) -> None:
-        """Take up the tangent at x: `lift`, `tangent` and `contact_terms` are then those of this state."""
+        """Take up the tangent at x: `multiply`, `tangent` and `contact_terms` are then those of this state."""
         self._update_bulk(x)
         if self.contact is not None:
             with self.timer("contact"):
@@ -163,8 +163,8 @@ class Problem:
         """A copy of the tangent's bulk and grounding, nothing eliminated from it."""
         return self._bulk.copy()
 
-    def lift(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = tangent of the last `linearize` times a change of the fixed unknowns."""
+    def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = tangent of the last `linearize` times a change of the state, nothing eliminated from it."""
         self._bulk.mult(change, result)
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)

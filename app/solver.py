@@ -1,4 +1,4 @@
-"""Newton's method (PETSc SNES) and its linear solvers: what is chosen, and why."""
+"""Newton's method (PETSc SNES): its start value, line search and end, and what is tried where it fails."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ class Newton:
         self._residual.copy(self._right)
         self._right.scale(-1.0)
         self._operators = self.linear.linearize(problem.state)
-        problem.lift(change, self._change)
+        problem.multiply(change, self._change)
         self._right.axpy(-1.0, self._change)
         free = self._right.array_r.copy()
         free[fixed] = 0.0

@@ -87,6 +87,16 @@ class Material:
         """Whether the material carries a potential."""
         return self.permittivity is not None
 
+    @property
+    def mean_stiffness(self) -> float:
+        """Mean of the stiffnesses along the axes, MPa."""
+        return float(np.diag(self.stiffness)[:3].mean())
+
+    @property
+    def mean_permittivity(self) -> float:
+        """Mean of the permittivities along the axes, pC/(V um); 0 for a material without potential."""
+        return 0.0 if self.permittivity is None else float(np.diag(self.permittivity).mean())
+
     def check(self) -> None:
         """Return if the material is stable; else raise ValueError in words.
 

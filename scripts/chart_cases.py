@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.contact_pairs import permittivity_of, stiffness_of
 from app.scene import Scene
 from forms.materials import BUILT_IN
 from scripts.pressed import pressed
 from tests import references as ref
 
 FACTOR, RANGE, AUGMENT = 10.0, 0.002, 1e-3
-NORMAL, ELECTRIC = FACTOR * stiffness_of(BUILT_IN["pvdf"]), FACTOR * permittivity_of(BUILT_IN["pvdf"])
+NORMAL, ELECTRIC = FACTOR * BUILT_IN["pvdf"].mean_stiffness, FACTOR * BUILT_IN["pvdf"].mean_permittivity
 
 
 @dataclass(frozen=True)
