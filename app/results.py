@@ -68,7 +68,7 @@ _FILES = (
     "log.txt",
 )
 _PIECES = {"fields": "vtu", "contact": "vtp"}
-_CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)(\.part)?")
+_CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)")
 _INTEGERS = {"step", "stage", "newton", "krylov", "cutbacks"}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 import signal
 import sys
@@ -15,14 +14,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
-from app import checkpoint, fenicsx
+from app import restart
 from app.contact_pairs import contact_of
-from app.files import on_root
+from app.files import on_root, replacing
 from app.floating import left_alone, touching_bodies
-from app.history import Balance, augments, columns, pair_columns, pair_table, row
+from app.history import Balance, columns, pair_columns, pair_table, row
 from app.linear import Direct, Multigrid
 from app.model import Model
 from app.output import FieldOutput, contact_points
@@ -218,7 +216,7 @@ class _Session:
         if self.results is None:
             return
         with self.timer("output"):
-            if self.scene.output.fields != "none" and self.history and self.scene.output.fields == "end":
+            if self.history and self.scene.output.fields == "end":
                 self._write_fields()
         cells = self.model.mesh.topology.index_map(self.model.dim).size_global
         held = shares(self.problem)
@@ -256,63 +254,12 @@ class _Session:
             self.results.contact(self.last_step, points, float(self.last_step))
 
     def _save_checkpoint(self) -> None:
-        model, contact = self.model, self.problem.contact
-        ids = _node_ids(model)
-        nodal = {
-            "state": (ids, self.problem.state.array_r.reshape(-1, model.block)),
-            "forces": (ids, self.balance.forces.array_r.reshape(-1, model.block)),
-        }
-        points = {}
-        if contact is not None:
-            known = [p.history.touched for p in contact.every]
-            keys = np.concatenate([p.keys()[k] for p, k in zip(contact.every, known, strict=True)])
-            opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.every, known, strict=True)])
-            points["opening"] = (keys, opening[:, None])
-            if augments(model):
-                shifts = [np.stack([p.shift.gap, p.shift.jump], axis=2).reshape(-1, 2) for p in contact.every]
-                points["shift"] = (np.concatenate([p.corner_keys() for p in contact.every]), np.concatenate(shifts))
-            if contact.cuts:
-                # Where pieces lie follows from states before this one.
-                points["place"] = (
-                    np.concatenate([p.keys() for p in contact.passes]),
-                    np.concatenate([p.points.xi for p in contact.passes]),
-                )
-        scalars = {
-            "history": self.history,
-            "size": self.stepper.size,
-            "motion": self.stepper.last_motion,
-            "penetration": contact.last_penetration if contact is not None else 0.0,
-            "places": contact.places() if contact is not None else 0,
-            "external_work": self.balance.external_work,
-            "stabilization": self.balance.stabilization,
-        }
-        checkpoint.save(self.comm, self.out / "checkpoint", self.last_step, nodal, points, scalars)
+        folder = self.out / "checkpoint"
+        restart.save(folder, self.last_step, self.problem, self.stepper, self.balance, self.history)
 
     def _restore(self, names: list[str]) -> None:
-        model, contact = self.model, self.problem.contact
-        stored = checkpoint.load(self.comm, self.out / "checkpoint")
-        ids = _node_ids(model)
-        self.problem.state.array[:] = stored.nodal("state", ids).ravel()
-        self.balance.forces.array[:] = stored.nodal("forces", ids).ravel()
-        self.balance.external_work = stored.scalars["external_work"]
-        self.balance.stabilization = stored.scalars["stabilization"]
-        self.stepper.size = stored.scalars["size"]
-        self.stepper.last_motion = stored.scalars["motion"]
-        if contact is not None:
-            contact.last_penetration = stored.scalars["penetration"]
-            for p in contact.passes:
-                if p.segments:
-                    every = p.every_key(stored.scalars["places"])
-                    p.recover(*stored.points("place", every), stored.scalars["places"])
-            for p in contact.every:
-                values, found = stored.points("opening", p.keys())
-                p.history.touched[:] = found
-                p.history.opening[:] = np.where(found, values[:, 0], 0.0)
-                if augments(model):
-                    values, _ = stored.points("shift", p.corner_keys())
-                    p.shift.gap[:], p.shift.jump[:] = values.T.reshape(2, *p.shift.gap.shape)
-        self.history = list(stored.scalars["history"])
-        self.last_step = stored.step
+        folder = self.out / "checkpoint"
+        self.last_step, self.history = restart.load(folder, self.problem, self.stepper, self.balance)
         self._remember()
         self._go_back()
         self.results.resume(names, self.last_step, self.history)
@@ -389,9 +336,8 @@ def _mesh(
 
 def _install(saved: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{target.name}.part")
-    shutil.copyfile(saved, part)
-    os.replace(part, target)
+    with replacing(target) as part:
+        shutil.copyfile(saved, part)
 
 
 def _check_overlap(problem: Problem) -> None:
@@ -408,13 +354,6 @@ def _check_overlap(problem: Problem) -> None:
             f"bodies that overlap by {overlap:.3g} um at the start",
             f"an overlap of at most a tenth of their size ({OVERLAP * size:.3g} um)",
         )
-
-
-def _node_ids(model: Model) -> Any:
-    """Numbers of the owned nodes in the mesh file."""
-    ids = np.zeros(model.owned + model.space.dofmap.index_map.num_ghosts, np.int64)
-    ids[fenicsx.dofmap(model.space)] = fenicsx.node_ids(model.mesh)[fenicsx.geometry_dofmap(model.mesh)]
-    return ids[: model.owned]
 
 
 def _picture(out: Path) -> None:

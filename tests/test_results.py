@@ -94,7 +94,7 @@ def test_start_removes_an_older_run_and_nothing_else(comm: MPI.Comm, shared_tmp_
     ]
     older += ["fields/step_0001_rank_0000.vtu", "fields/.step_0002_rank_0003.part.vtu", ".history.part.csv"]
     older += ["contact/step_0001_rank_0000.vtp", "checkpoint/step_0001.npz", "checkpoint/mesh.msh"]
-    older += ["checkpoint/.step_0002.part.npz", "checkpoint/.mesh.msh.part"]
+    older += ["checkpoint/.step_0002.part.npz", "checkpoint/.mesh.part.msh"]
     if comm.rank == 0:
         for name in foreign + older:
             (shared_tmp_path / name).parent.mkdir(exist_ok=True)
