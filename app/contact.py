@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import reductions
-from app.contact_pass import ContactPass, Pairs
+from app.contact_pass import LARGEST_SHAPE, ContactPass, Pairs
 from app.contact_terms import ContactTerms, NodalState, no_terms, terms_of_pass, terms_of_plane
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
@@ -112,6 +112,7 @@ class Contact:
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
             p.found_beyond = np.zeros(len(p.rows))
+            p.clear, p.approach = np.zeros((2, len(p.rows)))
         for p in self.planes:
             p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
             p.look(position, margin)
@@ -155,11 +156,14 @@ class Contact:
         self.outgrown = moved > 0.5 * self.margin
         everywhere = search and (not self._searched or drift > DRIFT * self._facet)
         if everywhere:
-            self._searched, self._searched_at = True, displacement.copy()
-        # What is further off can do nothing before the surfaces have moved so far that all is searched anew; solvers
-        # ask for what may soon touch.
-        reach = max(self.reach + (NEAR + 2.0 * DRIFT) * self._facet, self.ahead)
-        look = Search(self._keep, everywhere, reach, 2.0 * self.margin, 2.0 * self.last_penetration)
+            self._come_nearer(displacement - self._searched_at)
+            self._searched, self._searched_at, drift = True, displacement.copy(), 0.0
+        # What is further off than `reach` can do nothing before all is searched anew; solvers ask for what may soon
+        # touch.
+        nearer = 2.0 * np.sqrt(self.dim) * LARGEST_SHAPE[2]  # that two points can come if no component moves by more
+        reach = self.reach + nearer * DRIFT * self._facet
+        far = max(reach + NEAR * self._facet, self.ahead)
+        look = Search(self._keep, everywhere, reach, far, 2.0 * self.last_penetration, nearer * drift)
         # A tangent is mostly asked for where the residual was evaluated last: partners and projections are at hand.
         same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
         self._partners_at = position
@@ -180,6 +184,7 @@ class Contact:
         # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
         self.broken = self.comm.allreduce(failed, op=MPI.LOR)
         if self.broken:
+            self._searched = False
             of_passes, of_planes = (
                 [no_terms(p, self.components, tangent=tangent) for p in passes] for passes in (self.passes, self.planes)
             )
@@ -189,6 +194,13 @@ class Contact:
         nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
         vectors = np.concatenate([t.vectors for t in terms])
         return ContactTerms(nodes, vectors, np.concatenate([t.matrices for t in terms]) if tangent else None)
+
+    def _come_nearer(self, change: Array) -> None:
+        """Note by how much things may have come nearer to each other, nodes having moved by `change` (n, d)."""
+        bodies = max(len(self.pairs.bodies), 2)
+        motions = reductions.largest(self.comm, np.array([p.motions(change, bodies) for p in self.passes]))
+        for p, moved in zip(self.passes, motions, strict=True):
+            p.come_nearer(moved)
 
     def stale(self) -> bool:
         """Whether segments no longer begin and end where master facets do, at the last evaluation."""

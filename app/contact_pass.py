@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
 CUT_DRIFT = 1e-3
+# How much further than its nodes a point of a facet may move, by the facet's order: Lebesgue's constant of triangles.
+LARGEST_SHAPE = {1: 1.0, 2: 5.0 / 3.0}
 EVERY = slice(None)
 
 
@@ -55,9 +57,10 @@ class ContactPass:
     clumps of the slave's facets (f,) and of the master's which of them may meet. `share` is the pass's share of the
     contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the points near the master, `facet` and
     `xi` their partners in `visible` and where, and `found_beyond` the share of a facet by which a point that
-    did not touch was beyond its partner when that was found; the last evaluation is kept, with `force` and `position`
-    (m, d) of the points that met a facet, and `gap` (m,), which the law sees: that of `projection` and the
-    multipliers' `shift`.
+    did not touch was beyond its partner when that was found; all else is further off than `clear` - `approach` (um),
+    which is how much nearer things may have come, growing from search to search. The last evaluation is kept, with
+    `force` and `position` (m, d) of the points that met a facet, and `gap` (m,), which the law sees: that of
+    `projection` and the multipliers' `shift`.
     size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
     its far side and meets nothing.
 
@@ -88,6 +91,8 @@ class ContactPass:
     facet: NDArray[np.int64] = field(init=False)
     xi: Array = field(init=False)
     found_beyond: Array = field(init=False)
+    clear: Array = field(init=False)
+    approach: Array = field(init=False)
     slave_nodes: NDArray[np.int64] = field(init=False)
     master_nodes: NDArray[np.int64] = field(init=False)
     met: NDArray[np.int64] = field(init=False)
@@ -147,6 +152,21 @@ class ContactPass:
     def master_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
         """The same of the visible master facets."""
         return rounded(self.slave.kind, position[self.master_nodes[facet]], self.visible.rounding[facet])
+
+    def motions(self, change: Array, bodies: int) -> Array:
+        """How far (bodies,) the facets of each body that are seen here have moved at most, nodes by `change` (n, d)."""
+        length = LARGEST_SHAPE[self.slave.kind.order] * np.linalg.norm(change, axis=1)
+        found = np.zeros(bodies)
+        for clump, nodes in ((self.slave_clump, self.slave_nodes), (self.visible.clump, self.master_nodes)):
+            np.maximum.at(found, self.rule.body(clump), length[nodes].max(axis=1, initial=0.0))
+        return found
+
+    def come_nearer(self, motions: Array) -> None:
+        """Note that bodies have moved by these distances (b,)."""
+        others = np.zeros(len(self.rows))
+        for near, clump in zip(self.meetings.points, self.meetings.clump, strict=True):
+            others[near] = np.maximum(others[near], motions[self.rule.body(clump)])
+        self.approach += motions[self.rule.body(self.slave_clump[self.points.facet[self.rows]])] + others
 
     def potentials_at(self, potentials: Array, slave: NDArray, master: NDArray) -> tuple[Array, Array]:
         """Nodal potentials (m, n) of slave and of master facets."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.contact_pass import ContactPass
 from forms.contact.gap import point_normals, project
-from meshes.pairing import closest_facets, may_touch
+from meshes.pairing import closest_facets
 
 Array = NDArray[np.float64]
 
@@ -24,35 +24,42 @@ class Search:
     """How far partners are kept and looked for.
 
     keep: share of a facet by which a point's projection may leave it. everywhere: whether points that meet nothing
-    are looked at too. reach (um): points further off than this, in front of all that faces them, can do nothing yet.
-    margin (um): how far facets may be. depth (um): how deep inside a body a point may be at least.
+    are looked at too, those that may be within `reach` (um) of something; far (um): how far off they may then find
+    it. depth (um): how deep inside a body a point may be at least. drift (um): how much nearer to each other things may
+    have come since the last search everywhere.
     """
 
     keep: float
     everywhere: bool
     reach: float
-    margin: float
+    far: float
     depth: float
+    drift: float
 
 
 def find_partners(p: ContactPass, position: Array, search: Search) -> None:
     """Keep the facets of a pass's points as long as they project onto them, search for the others', and project.
 
-    position (n, d): where the nodes are. Sets the pass's `facet`, `xi`, `found_beyond`, `met`, `position` and
+    position (n, d): where the nodes are. Sets the pass's `facet`, `xi`, `found_beyond`, `clear`, `met`, `position` and
     `projection`.
     """
     kind = p.slave.kind
     points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
-    lost = (p.facet < 0) & search.everywhere
+    near = np.full(len(p.rows), search.reach)  # what comes nearer than this is to be seen
     have = np.flatnonzero(p.facet >= 0)
+    left = np.zeros(0, np.int64)
     if len(have):
         facet = p.facet[have]
         nodes = p.master_at(position, facet)
-        xi = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have]).xi
-        p.xi[have] = xi
+        projection = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have])
+        p.xi[have] = projection.xi
         # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
-        left = np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT)
-        lost[have[kind.overshoot(xi) > np.maximum(search.keep, left)]] = True
+        keep = np.maximum(search.keep, np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT))
+        left = have[kind.overshoot(projection.xi) > keep]
+        # Something else may have come nearer than a partner that does not touch.
+        near[have] = np.where(projection.gap > p.law.reach, np.minimum(projection.gap, search.reach), -np.inf)
+    lost = ~(p.clear > p.approach + near) & search.everywhere  # numbers or not
+    lost[left] = True
     if lost.any():
         _look_for(p, points, position, lost, search)
     p.met = np.flatnonzero(p.facet >= 0)
@@ -67,29 +74,26 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.b
     own = p.points.facet[p.rows[lost]]
     normals = np.zeros_like(points)
     normals[lost] = point_normals(kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own])
-    p.facet[lost] = -1
-    least = np.full(len(p.rows), np.inf)
+    p.facet[lost], p.clear[lost] = -1, -np.inf
+    depth = max(p.depth, search.depth)
+    far = max(search.far, depth)
+    least = np.full(len(p.rows), np.inf)  # gap of the partner
+    away = np.full(len(p.rows), np.inf)  # least distance of the partner's clump, plus approach
+    clear = np.full(len(p.rows), np.inf)  # and of all others
     for near, facets in zip(p.meetings.points, p.meetings.facets, strict=True):
         tried = near[lost[near]]
         if not len(tried):
             continue
-        nodes, orientation = p.master_at(position, facets), p.visible.orientation[facets]
-        tried = tried[may_touch(kind, points[tried], normals[tried], nodes, orientation, search.reach)]
-        found, xi = closest_facets(
-            kind,
-            points[tried],
-            normals[tried],
-            nodes,
-            orientation,
-            p.visible.key[facets],
-            search.margin,
-            max(p.depth, search.depth),
-        )
+        nodes, orientation, key = p.master_at(position, facets), p.visible.orientation[facets], p.visible.key[facets]
+        found, xi, off = closest_facets(kind, points[tried], normals[tried], nodes, orientation, key, far, depth)
+        off += p.approach[tried] - search.drift
         met = np.flatnonzero(found >= 0)
-        tried, found, xi = tried[met], found[met], xi[met]
+        gap = np.full(len(tried), np.inf)
+        gap[met] = project(kind, points[tried[met]], nodes[found[met]], orientation[found[met]], xi[met]).gap
         # Of several bodies a point meets the one that it is deepest in, or nearest to.
-        gap = project(kind, points[tried], nodes[found], orientation[found], xi).gap
-        nearer = gap < least[tried]
-        tried = tried[nearer]
-        least[tried], p.facet[tried], p.xi[tried] = gap[nearer], facets[found[nearer]], xi[nearer]
-        p.found_beyond[tried] = np.where(gap[nearer] > p.law.reach, kind.overshoot(xi[nearer]), 0.0)
+        nearer = (gap < least[tried]) & (gap <= search.far)
+        clear[tried] = np.minimum(clear[tried], np.where(nearer, away[tried], off))
+        tried, found, xi, gap = tried[nearer], found[nearer], xi[nearer], gap[nearer]
+        least[tried], away[tried], p.facet[tried], p.xi[tried] = gap, off[nearer], facets[found], xi
+        p.found_beyond[tried] = np.where(gap > p.law.reach, kind.overshoot(xi), 0.0)
+    p.clear[lost] = clear[lost]

@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from forms.contact.facets import FacetKind
-from forms.contact.gap import point_normals, project
+from forms.contact.gap import facet_normal, point_normals, project
 
 Array = NDArray[np.float64]
 
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
 FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other
 SURELY_FACING = -0.5  # the same cosine in the middle of a curved facet that faces all over
-LOOKED_AT = 6  # nearest facets in a first look
-SAME_WAY = 0.5  # cosine between a point's normal and that of a facet above which they look the same way
 DEVIATION = 1.5  # of a curved facet from a flat one, over that of its nodes
 BULGE = 0.1  # how far a curved facet may reach out of the box of its nodes, in its length
 SEARCH_ITERATIONS = 6  # to the closest point of a curved facet: enough where the point is over the facet
@@ -54,24 +52,6 @@ def facing_pairs(
     return row[faces], facet[faces]
 
 
-def may_touch(
-    kind: FacetKind, points: Array, normals: Array, facets: Array, orientation: Array, reach: float
-) -> NDArray[np.bool_]:
-    """Which points (m, d) with normals (m, d) may be within `reach` of facets (f, n, d) that face them, or behind them.
-
-    A quick look at the nearest centres of facets alone: a point that is far off and in front of them all, or whose
-    surface looks the same way as they all, does neither.
-    """
-    center = facets.mean(axis=1)
-    radius = float(np.linalg.norm(facets - center[:, None], axis=2).max())
-    distance, nearest = cKDTree(center).query(points, k=range(1, min(LOOKED_AT, len(center)) + 1))
-    middle = np.tile(kind.middle, (len(facets), 1))
-    outward, normals = normals, point_normals(kind, middle, facets, orientation)
-    behind = (np.einsum("mkd,mkd->mk", points[:, None] - center[nearest], normals[nearest]) < 0.0).any(axis=1)
-    facing = (np.einsum("mkd,md->mk", normals[nearest], outward) < SAME_WAY).any(axis=1)
-    return ((distance[:, 0] <= reach + radius) | behind) & facing
-
-
 def closest_facets(
     kind: FacetKind,
     points: Array,
@@ -81,28 +61,21 @@ def closest_facets(
     key: NDArray[np.int64],
     margin: float,
     depth: float = np.inf,
-) -> tuple[NDArray[np.int64], Array]:
-    """The facet (m,) that each point meets, -1 for none, and where (m, t).
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """The facet (m,) that each point meets, -1 for none, where (m, t), and how far (m,) all facets are at least.
 
     The nearest of those that face the point's own surface, by the distance to the facet itself (not its extension);
     a point behind them must be inside the body. points (m, d) with normals (m, d), facets (f, n, d). Two facets
     equally near are told apart by their key, so that the answer does not depend on their order. A point beyond the
     end of the surface meets nothing, nor does one deeper than `depth` (um): it would be nearer to the far side.
+    Facets further off than `margin` (um) may be left out; how far they are is told up to there.
     """
     found = np.full(len(points), -1)
     where = np.zeros((len(points), kind.dim))
-    row, facet, unseen = _candidates(kind, points, facets, margin)
+    row, facet, clear = _may_be_nearest(kind, points, normals, facets, orientation, margin)
     if not len(row):
-        return found, where
-    able = _may_be_nearest(kind, points, normals, facets, orientation, row, facet)
-    row, facet = row[able], facet[able]
+        return found, where, clear
     seen = _look(kind, points, normals, facets, orientation, row, facet)
-    least = seen.least(len(points))
-    again = np.flatnonzero(np.isfinite(least) & (unseen < least))
-    if len(again):
-        more_row, more_facet = _all_within(points[again], facets, least[again])
-        more = _look(kind, points, normals, facets, orientation, again[more_row], more_facet)
-        seen = seen[~np.isin(row, again)].and_those(more)
     # A point behind a facet is inside the body only if the nearest facet of all says so too: the far side of a body
     # faces the far side of the other.
     closest = np.lexsort((~seen.facing, seen.distance, seen.row))
@@ -118,7 +91,7 @@ def closest_facets(
     chosen = order[first][~beyond[order[first]]]
     found[seen.row[chosen]] = seen.facet[chosen]
     where[seen.row[chosen]] = seen.xi[chosen]
-    return found, where
+    return found, where, clear
 
 
 @dataclass(frozen=True)
@@ -135,11 +108,6 @@ class _Seen:
 
     def __getitem__(self, pairs: NDArray) -> _Seen:
         return _Seen(*(getattr(self, name)[pairs] for name in self.__dataclass_fields__))
-
-    def and_those(self, more: _Seen) -> _Seen:
-        """These pairs and then more."""
-        both = ((getattr(self, name), getattr(more, name)) for name in self.__dataclass_fields__)
-        return _Seen(*(np.concatenate(parts) for parts in both))
 
     def least(self, points: int) -> Array:
         """Distance of each point to the nearest facet that faces it, inf for none."""
@@ -227,50 +195,93 @@ def _candidates(
 
 
 def _may_be_nearest(
+    kind: FacetKind, points: Array, normals: Array, facets: Array, orientation: Array, margin: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Pairs (point, facet) that a cheap bound cannot rule out: few need a closer look.
+
+    And how far (m,) all facets are from each point at least, as far as `margin`.
+    """
+    clear = np.full(len(points), margin)
+    if not len(facets):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), clear
+    flat = _Flat.of(kind, facets, orientation)
+    row, facet, unseen = _candidates(kind, points, facets, margin)
+    row, facet, least, nearest = _bounded(kind, points, normals, flat, row, facet, margin)
+    again = np.flatnonzero(unseen < nearest)
+    if len(again):
+        more = _all_within(points[again], facets, nearest[again])
+        more_row, more_facet, more_least, _ = _bounded(kind, points[again], normals[again], flat, *more, margin)
+        once = ~np.isin(row, again)
+        row = np.concatenate([row[once], again[more_row]])
+        facet = np.concatenate([facet[once], more_facet])
+        least = np.concatenate([least[once], more_least])
+    np.minimum.at(clear, row, np.maximum(least, 0.0))
+    return row, facet, clear
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """The flat parallelograms or triangles that touch facets in their middle, and how far facets deviate from those.
+
+    center (f, d), radius (f,) of a sphere around the facet, normal (f, d), tangents and their dual (f, t, d), metric
+    (f, t, t), deviation (f,).
+    """
+
+    center: Array
+    radius: Array
+    normal: Array
+    tangents: Array
+    dual: Array
+    metric: Array
+    deviation: Array
+
+    @classmethod
+    def of(cls, kind: FacetKind, facets: Array, orientation: Array) -> _Flat:
+        """Those of facets (f, n, d)."""
+        middle = kind.middle
+        tangents = np.stack(
+            [np.einsum("k,fkd->fd", kind.shape(middle[None], (a,))[0], facets) for a in range(kind.dim)], 1
+        )
+        center = np.einsum("k,fkd->fd", kind.shape(middle[None])[0], facets)
+        metric = tangents @ np.swapaxes(tangents, 1, 2)
+        deviation = DEVIATION * np.linalg.norm(facets - center[:, None] - (kind.nodes - middle) @ tangents, axis=2).max(
+            axis=1
+        )
+        deviation += TIE * np.sqrt(np.trace(metric, axis1=1, axis2=2))
+        radius = (1.0 + BULGE) * np.linalg.norm(facets - center[:, None], axis=2).max(axis=1)
+        normal = facet_normal(tangents, orientation)
+        return cls(center, radius, normal, tangents, np.linalg.solve(metric, tangents), metric, deviation)
+
+
+def _bounded(
     kind: FacetKind,
     points: Array,
     normals: Array,
-    facets: Array,
-    orientation: Array,
+    flat: _Flat,
     row: NDArray[np.int64],
     facet: NDArray[np.int64],
-) -> NDArray[np.bool_]:
-    """Which of these pairs of a point and a facet a cheap bound cannot rule out: few need a closer look."""
-    center = facets.mean(axis=1)
-    radius = (1.0 + BULGE) * np.linalg.norm(facets - center[:, None], axis=2).max(axis=1)
-    distance = np.linalg.norm(points[row] - center[facet], axis=1)
-    middle = np.tile(kind.middle, (len(facets), 1))
-    facing = np.einsum("md,md->m", point_normals(kind, middle, facets, orientation)[facet], normals[row])
-    sure = facing < SURELY_FACING
-    nearest = np.full(len(points), np.inf)
-    np.minimum.at(nearest, row[sure], distance[sure] + BULGE * radius[facet[sure]])
-    able = np.flatnonzero(distance - radius[facet] <= nearest[row])
-    row, facet, sure = row[able], facet[able], sure[able]
-    least, most = _bounds(kind, points, facets, row, facet)
-    nearest = np.full(len(points), np.inf)
-    np.minimum.at(nearest, row[sure], most[sure])
-    may_be = np.zeros(len(distance), bool)
-    may_be[able[least <= nearest[row]]] = True
-    return may_be
+    margin: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+    """Those pairs whose facet may be the nearest that faces the point, or nearer than that.
 
-
-def _bounds(
-    kind: FacetKind, points: Array, facets: Array, row: NDArray[np.int64], facet: NDArray[np.int64]
-) -> tuple[Array, Array]:
-    """Bounds (k,) of the distances of points to facets: to the flat parallelograms or triangles that touch them in
-    their middle, less and more by how far the facets deviate from those."""
+    With how far (k,) it is at least, and how far (m,) from each point the nearest is at most: facets that face it in
+    their middle do so everywhere; `margin` where there is none.
+    """
+    nearest = np.full(len(points), margin)
+    away = points[row] - flat.center[facet]
+    distance = np.linalg.norm(away, axis=1)
+    sure = np.einsum("md,md->m", flat.normal[facet], normals[row]) < SURELY_FACING
+    np.minimum.at(nearest, row[sure], (distance + BULGE * flat.radius[facet])[sure])
+    able = np.flatnonzero(distance - flat.radius[facet] <= nearest[row])
+    row, facet, sure, away = row[able], facet[able], sure[able], away[able]
+    # The distance to the flat facet, less and more by how far the curved one deviates from it.
     middle = kind.middle
-    tangents = np.stack([np.einsum("k,fkd->fd", kind.shape(middle[None], (a,))[0], facets) for a in range(kind.dim)], 1)
-    center = np.einsum("k,fkd->fd", kind.shape(middle[None])[0], facets)
-    flat = center[:, None] + (kind.nodes - middle) @ tangents
-    deviation = DEVIATION * np.linalg.norm(facets - flat, axis=2).max(axis=1)
-    metric = tangents @ np.swapaxes(tangents, 1, 2)
-    dual = np.linalg.solve(metric, tangents)
-    away = points[row] - center[facet]
-    xi = kind.clamp(middle + np.einsum("kad,kd->ka", dual[facet], away), metric[facet]) - middle
-    distance = np.linalg.norm(away - np.einsum("ka,kad->kd", xi, tangents[facet]), axis=1)
-    slack = deviation[facet] + TIE * np.sqrt(np.trace(metric, axis1=1, axis2=2))[facet]
-    return distance - slack, distance + slack
+    xi = kind.clamp(middle + np.einsum("kad,kd->ka", flat.dual[facet], away), flat.metric[facet]) - middle
+    distance = np.linalg.norm(away - np.einsum("ka,kad->kd", xi, flat.tangents[facet]), axis=1)
+    least, most = distance - flat.deviation[facet], distance + flat.deviation[facet]
+    np.minimum.at(nearest, row[sure], most[sure])
+    able = least <= nearest[row]
+    return row[able], facet[able], least[able], nearest
 
 
 def _all_within(points: Array, facets: Array, distance: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from app import partners
 from app.contact_pairs import contact_of
 from app.model import Model
 from app.scene import Scene
@@ -17,7 +18,7 @@ from app.simulation import run
 from forms.contact.gap import point_normals, project
 from meshes.body_mesh import create
 from meshes.crowd import ONE_TO_ONE, Clusters, Meetings, Rule, overlapping
-from meshes.pairing import brute_force_facets
+from meshes.pairing import brute_force_facets, closest_facets
 from tests.histories import assert_equal
 
 MAT: dict[str, Any] = {
@@ -116,6 +117,47 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     near = chosen[(least[chosen] < p.law.reach) & (partner[chosen] >= 0)]
     assert len(near) > 50
     np.testing.assert_array_equal(met[near], partner[near])
+
+
+@pytest.mark.mpi
+def test_what_comes_near_is_found_without_a_search_of_all(
+    comm: MPI.Comm, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fibers that move about: the points that may act are those of surfaces paired anew."""
+    scene = mat(contact={"electric_range": 0.02, "smoothing": True})
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    contact, anew = contact_of(model), contact_of(model)
+    looked = []
+    monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[1])), closest_facets(*a))[1])
+    state = model.coordinate_vector()
+    motion, margin = np.zeros((len(model.part_size), model.block)), 1.2
+    work, acting, new = np.zeros(2, int), [], 0
+    for step in range(8):
+        if step:
+            motion[:, :3] = np.clip(motion[:, :3] + 0.02 * rng.standard_normal((len(motion), 3)), -0.15, 0.15)
+        state.array[:] = motion[model.node_part[: model.owned]].ravel()
+        local = motion[model.node_part]
+        found = []
+        for i, c in enumerate((contact, anew)):
+            if i or not step:
+                c.pair(state, local, model.coordinates, margin)
+            looked.clear()
+            c.evaluate(state, tangent=False)
+            work[i] += sum(looked)
+            (p,) = c.passes
+            gap = np.full(len(p.points.weight), np.inf)
+            gap[p.rows[p.met]] = p.projection.gap
+            found.append(gap)
+        assert not contact.outgrown
+        acts = found[1] < p.law.reach
+        # At the edge of an end a partner is kept that a point paired anew would not take any more: it is deeper in.
+        assert (found[0][acts] < p.law.reach + 0.01).all()
+        same = np.isclose(found[0][acts], found[1][acts], atol=1e-3)
+        assert same.mean() > 0.9
+        acting.append(acts)
+        new += int((acts & ~acting[0]).sum())
+    assert comm.allreduce(new) > 200
+    assert comm.allreduce(int(work[0])) < 0.6 * comm.allreduce(int(work[1]))
 
 
 @pytest.mark.slow

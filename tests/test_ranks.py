@@ -177,10 +177,11 @@ def serial_history(name: str, comm: MPI.Comm) -> Rows:
 
 
 def cuts_contact(result: Run) -> bool:
-    """Whether points of this rank met facets of another one."""
+    """Whether points of this rank are near facets of another one."""
     for p in result.problem.contact.passes:
-        met = p.visible.key[p.facet[p.facet >= 0]]
-        if not np.isin(met, p.master.key).all():
+        meetings = zip(p.meetings.facets, p.meetings.points, strict=True)
+        near = [p.visible.key[facets] for facets, points in meetings if len(points)]
+        if not all(np.isin(keys, p.master.key).all() for keys in near):
             return True
     return False
 

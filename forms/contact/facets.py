@@ -102,6 +102,35 @@ class FacetKind:
         return points, np.outer(w, w).ravel()
 
 
+class FacetMaps:
+    """The maps of facets with nodes (m, n, d) as polynomials: each is cheap to evaluate at a point of its own."""
+
+    def __init__(self, kind: FacetKind, nodes: Array) -> None:
+        self._kind = kind
+        m, n, d = nodes.shape
+        terms = kind.coefficients @ nodes.transpose(1, 2, 0).reshape(n, d * m)
+        self._terms = terms.reshape(len(kind.powers), d, m)
+
+    def __getitem__(self, rows: NDArray) -> FacetMaps:
+        some = object.__new__(FacetMaps)
+        some._kind, some._terms = self._kind, self._terms[:, :, rows]
+        return some
+
+    def at(self, xi: Array, *derivative: int) -> Array:
+        """Positions (d, m) at points xi (t, m), or derivatives along the given axes."""
+        result = np.zeros(self._terms.shape[1:])
+        for powers, term in zip(self._kind.powers, self._terms, strict=True):
+            powers, factor = powers.copy(), 1
+            for axis in derivative:
+                factor *= powers[axis]
+                powers[axis] -= 1
+            if factor:
+                for axis in np.repeat(np.arange(len(powers)), powers):
+                    term = term * xi[axis]
+                result += term if factor == 1 else factor * term
+        return result
+
+
 def triangle_rule(order: int) -> tuple[Array, Array]:
     """Symmetric rules of Strang and Fix (1973): 3 points of degree 2, 6 points of degree 4."""
     if order == 1:

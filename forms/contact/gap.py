@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.contact.facets import FacetKind
+from forms.contact.facets import FacetKind, FacetMaps
 
 Array = NDArray[np.float64]
 
@@ -87,41 +87,60 @@ def project(
     the curvature term left out where it would lose the minimum; `iterations` bounds it.
     """
     xi = np.tile(kind.middle, (len(points), 1)) if xi is None else np.array(xi, float)
-    active = np.arange(len(points))
+    axes, maps = range(kind.dim), FacetMaps(kind, nodes)
+    active, some, goal = np.arange(len(points)), maps, points.T
     for _ in range(1 if kind.affine else iterations):
         if not len(active):
             break
-        here, facets = xi[active], nodes[active]
-        away = points[active] - _at(kind, here, facets)
-        tangents = _gradient(kind, here, facets)
-        slope = np.einsum("mad,md->ma", tangents, away)
-        matrix = np.einsum("mad,mbd->mab", tangents, tangents)
+        here = xi[active].T
+        away = goal - some.at(here)
+        tangents = [some.at(here, a) for a in axes]
+        slope = np.array([(t * away).sum(axis=0) for t in tangents])
+        matrix = np.array([[(t * other).sum(axis=0) for other in tangents] for t in tangents])
         if not kind.affine:
-            full = matrix - np.einsum("mabd,md->mab", _hessian(kind, here, facets), away)
-            safe = _least_eigenvalue(full) > 0.1 * _least_eigenvalue(matrix)
-            matrix[safe] = full[safe]
-        step = np.linalg.solve(matrix, slope[..., None])[..., 0]
-        length = np.abs(step).max(axis=1)
+            bend = np.array([[(some.at(here, *sorted((a, b))) * away).sum(axis=0) for b in axes] for a in axes])
+            safe = _least_eigenvalue(matrix - bend) > 0.1 * _least_eigenvalue(matrix)
+            matrix = np.where(safe, matrix - bend, matrix)
+        step = _solve(matrix, slope)
+        length = np.abs(step).max(axis=0)
         if not kind.affine:
-            step /= np.maximum(length, 1.0)[:, None]
-        xi[active] += step
-        active = active[length > CLOSEST_POINT_TOLERANCE]
-    tangents = _gradient(kind, xi, nodes)
+            step /= np.maximum(length, 1.0)
+        xi[active] += step.T
+        left = np.flatnonzero(length > CLOSEST_POINT_TOLERANCE)
+        if len(left) < len(active):
+            active, some, goal = active[left], some[left], goal[:, left]
+    here = np.ascontiguousarray(xi.T)
+    tangents = np.stack([maps.at(here, a).T for a in axes], axis=1)
     normal = facet_normal(tangents, orientation)
-    gap = np.einsum("md,md->m", points - _at(kind, xi, nodes), normal)
+    gap = np.einsum("md,md->m", points - maps.at(here).T, normal)
     second = np.zeros((len(xi), kind.dim, kind.dim, points.shape[1]))
     if not kind.affine:
-        second = _hessian(kind, xi, nodes)
+        for a in axes:
+            for b in range(a + 1):
+                second[:, a, b] = second[:, b, a] = maps.at(here, b, a).T
     curvature = np.einsum("mabd,md->mab", second, normal)
     return Projection(nodes, xi, gap, normal, tangents, second, curvature)
 
 
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solutions (t, m) with symmetric matrices (t, t, m), t = 1 or 2. Raises LinAlgError where one is singular."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if len(matrix) == 1:
+            result = right / matrix[0]
+        else:
+            (a, b), (_, c) = matrix
+            result = np.stack([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / (a * c - b * b)
+    if not np.isfinite(result).all():
+        raise np.linalg.LinAlgError("a facet has collapsed")
+    return result
+
+
 def _least_eigenvalue(matrix: Array) -> Array:
-    """Of symmetric matrices (m, 1, 1) or (m, 2, 2)."""
-    if matrix.shape[1] == 1:
-        return matrix[:, 0, 0]
-    half = 0.5 * (matrix[:, 0, 0] + matrix[:, 1, 1])
-    return half - np.hypot(0.5 * (matrix[:, 0, 0] - matrix[:, 1, 1]), matrix[:, 0, 1])
+    """Of symmetric matrices (1, 1, m) or (2, 2, m)."""
+    if len(matrix) == 1:
+        return matrix[0, 0]
+    half = 0.5 * (matrix[0, 0] + matrix[1, 1])
+    return half - np.hypot(0.5 * (matrix[0, 0] - matrix[1, 1]), matrix[0, 1])
 
 
 @dataclass
