@@ -57,25 +57,26 @@ class Contact:
         self.dim = space.mesh.geometry.dim
         self.components = space.dofmap.index_map_bs
         self.potential_scale = potential_scale
-        self.margin = 0.0
-        self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
-        self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
-        self.broken = False
-        self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
         self.cuts = any(p.segments for p in self.passes)
-        self._coordinates = coordinates
-        self._keep = KEEP[0][1]
-        self._turning = True
-        self.dragged = False  # whether bonds resist their opening
-        self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
-        sizes = [np.log(p.size) for p in self.every]
-        total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
-        self.last_penetration = 0.0  # at the end of the last converged step, um
-        self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
-        self._facet = float(np.exp(total[0] / total[1]))
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
         self.reach = comm.allreduce(max(p.law.reach for p in self.every), op=MPI.MAX)
+        sizes = [np.log(p.size) for p in self.every]
+        total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
+        self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
+        self._coordinates = coordinates
+
+        self.margin = 0.0  # of the last pairing, um
+        self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
+        self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
+        self.broken = False  # whether the last evaluation has failed
+        self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
+        self.dragged = False  # whether bonds resist their opening
+        self.last_penetration = 0.0  # at the end of the last converged step, um
+        self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
+        self._keep = KEEP[0][1]
+        self._turning = True
+        self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
 
     def pair(self, state: PETSc.Vec, local_state: Array, local_coordinates: Array, margin: float) -> None:
         """Find anew, at this state, which facets each rank must see and which points are near.
@@ -95,7 +96,7 @@ class Contact:
             needed += [global_numbers(self.space, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
         # All planes meet the same surface.
         needed += [global_numbers(self.space, p.slave.nodes).ravel() for p in self.planes[:1]]
-        self.nodes = np.unique(np.concatenate(needed)) if needed else np.zeros(0, np.int64)
+        self.nodes = np.unique(np.concatenate(needed))
         self._scatter(state)
         values = self._gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
@@ -262,12 +263,6 @@ class Contact:
         for terms in self._of_planes:
             self._add(terms.nodes, terms.vectors, residual)
 
-    def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
-        local = np.zeros((len(self.nodes), self.components))
-        np.add.at(local, nodes, vectors)
-        self._local.array[:] = local.ravel()
-        self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
-
     def hold_back(self, share: float) -> None:
         """Let bonds resist their opening from the last evaluation on, `share` times as stiffly as they soften at most.
 
@@ -404,3 +399,9 @@ class Contact:
     def _gather(self, vector: PETSc.Vec) -> Array:
         self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
         return self._local.array.reshape(-1, self.components).copy()
+
+    def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
+        local = np.zeros((len(self.nodes), self.components))
+        np.add.at(local, nodes, vectors)
+        self._local.array[:] = local.ravel()
+        self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)

@@ -116,9 +116,7 @@ def _planes(model: Model, first_number: int) -> list[PlanePass]:
         return []
     keys = model.scene.contact or ContactKeys()
     outside = _facets(model, "outside", fenicsx.exterior_facets(model.mesh))
-    points = quadrature_points(outside.kind, outside.reference)
-    if keys.method == "node":
-        points = _nodal(outside)
+    points = _points(keys, outside)
     size = _facet_sizes(outside)[points.facet]
     body = model.bodies.cell_body[outside.cells[points.facet]]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
@@ -164,8 +162,13 @@ def _facets(model: Model, name: str, facets: NDArray[np.int32]) -> Surface:
     return smoothed(model.space, flat) if keys is not None and keys.smoothing else flat
 
 
-def _nodal(group: Surface, shared: Array | None = None) -> SlavePoints:
-    """The nodes of a surface as points, those with unknowns alone."""
+def _points(keys: ContactKeys, group: Surface, shared: Array | None = None) -> SlavePoints:
+    """The points of a surface that the method asks for; of nodes those with unknowns alone.
+
+    shared: the `multiplicity` of `nodal_points`. Segments begin as whole facets.
+    """
+    if keys.method != "node":
+        return quadrature_points(group.kind, group.reference)
     if not group.rounding.shape[1]:
         return nodal_points(group.kind, group.reference, shared)
     flat = corner_kind(group.kind)
@@ -184,11 +187,8 @@ def _pass(
     first: bool,
 ) -> ContactPass:
     keys = model.scene.contact
-    if keys.method != "node":  # segments begin as whole facets
-        points = quadrature_points(slave.kind, slave.reference)
-    else:
-        shared = multiplicity(model.space, slave) if keys.nodal_weight == "unit" else None
-        points = _nodal(slave, shared)
+    unit = keys.method == "node" and keys.nodal_weight == "unit"
+    points = _points(keys, slave, multiplicity(model.space, slave) if unit else None)
     size = _facet_sizes(slave)[points.facet]
     materials = [model.materials[i] for i in _bodies_of(model, slave) | _bodies_of(model, master)]
     stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))

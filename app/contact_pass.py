@@ -54,13 +54,14 @@ class ContactPass:
     """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
 
     A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by the
-    clumps of the slave's facets (f,) and of the master's which of them may meet. `share` is the pass's share of the
-    contact enthalpy (1/2 each with two passes). After a pairing, `rows` are the points near the master, `facet` and
-    `xi` their partners in `visible` and where, and `found_beyond` the share of a facet by which a point that
-    did not touch was beyond its partner when that was found; all else is further off than `clear` - `approach` (um),
-    which is how much nearer things may have come, growing from search to search. The last evaluation is kept, with
-    `force` and `position` (m, d) of the points that met a facet, and `gap` (m,), which the law sees: that of
-    `projection` and the multipliers' `shift`.
+    clumps of the slave's facets (f,) and of the master's which of them may meet; `first`: whether the slave is the
+    first of its pair. `share` is the pass's share of the contact enthalpy (1/2 each with two passes). `meets`: which
+    points can meet anything, as pieces that no master facet covers cannot. After a pairing, `rows` are the points near
+    the master, `facet` and `xi` their partners in `visible` and where, `met` those of the rows that have one, and
+    `found_beyond` the share of a facet by which a point that did not touch was beyond its partner when that was found;
+    all else is further off than `clear` - `approach` (um), which is how much nearer things may have come, growing from
+    search to search. The last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet,
+    and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`.
     size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
     its far side and meets nothing.
 
