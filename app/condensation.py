@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from app import reductions
+from app.exchange import Exchange
 from app.problem import Problem
 from app.schur import SchurFactor
 
@@ -47,8 +48,7 @@ class Condensation:
         unknowns = _unknowns(self._nodes, self.block)
         self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
         self._here = PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF)
-        self._local = PETSc.Vec().createSeq(self._here.getSize(), comm=MPI.COMM_SELF)
-        self._exchange = PETSc.Scatter().create(problem.state, self._here, self._local, None)
+        self._exchange = Exchange(problem.state, self._here)  # of the parts that are this rank's
 
     def update(self, limit: float) -> bool:
         """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns.
@@ -127,45 +127,35 @@ class Condensation:
         if self._base is not None:
             return
         residual = self.problem.bulk_residual(x)
-        r = self._take(residual)
+        r = self._exchange.take(residual)
         scale = np.abs(r).max(initial=0.0)
         r[self._fixed] = 0.0
         if self._balanced(r, scale):
-            self._base, self._base_residual = self._take(x), residual
+            self._base, self._base_residual = self._exchange.take(x), residual
             self.problem.condensed = self
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Residual of the bulk at x, were its inside in equilibrium; at fixed unknowns still that of `hold`."""
         self._base_residual.copy(result)
-        change = (self._take(x) - self._base)[self._places]
+        change = (self._exchange.take(x) - self._base)[self._places]
         added = np.zeros_like(self._base)
         if self._factor is not None:
             added[self._places] = self._factor.complement @ change - self._shift * change
-        self._give(added, result)
+        self._exchange.add(added, result)
 
     def complete(self, x: PETSc.Vec) -> bool:
         """Let the inside of x, left behind by `hold`, follow; whether contact has spread beyond the candidates."""
         if self._base is None:
             return False
-        change = self._take(x) - self._base
+        change = self._exchange.take(x) - self._base
         if self._factor is not None:
             change[self._places] = self._factor.complement @ change[self._places]
             change = self._factor.solve(change)
             change[self._places] = 0.0
-        self._give(change, x)
+        self._exchange.add(change, x)
         self._base = self.problem.condensed = None
         spread, self.outgrown = self.outgrown, False
         return spread
-
-    def _take(self, vector: PETSc.Vec) -> Array:
-        """What a vector holds of the parts that are this rank's."""
-        self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-        return self._local.array.copy()
-
-    def _give(self, values: Array, result: PETSc.Vec) -> None:
-        """Add values of the parts that are this rank's to a vector."""
-        self._local.array[:] = values
-        self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
 
     def _balanced(self, r: Array, scale: float) -> bool:
         """Whether no more of r is inside than what is rounding against `scale`."""
@@ -176,7 +166,7 @@ class Condensation:
 
     def solve(self, right: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = (K + C)^-1 right, at the candidates alone while the inside is held; not numbers where singular."""
-        r = self._take(right)
+        r = self._exchange.take(right)
         outer = r[self._places]
         condensed = outer
         balanced = self._base is not None or self._balanced(r, np.abs(r).max(initial=0.0))
@@ -198,7 +188,7 @@ class Condensation:
             r[self._places] = self._factor.complement @ change + outer - condensed
             r = self._factor.solve(r)
         result.set(0.0)
-        self._give(r, result)
+        self._exchange.add(r, result)
 
     def _parts(self) -> None:
         """Give whole parts to ranks, the largest first to the one with the least; their nodes, sorted."""

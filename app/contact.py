@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from app import reductions
 from app.contact_pass import LARGEST_SHAPE, ContactPass, Pairs
 from app.contact_terms import ContactTerms, NodalState, no_terms, terms_of_pass, terms_of_plane
+from app.exchange import Exchange
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
 from forms.contact.augmentation import corner_kind, together
@@ -65,7 +66,6 @@ class Contact:
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
         self._coordinates = coordinates
-
         self.margin = 0.0  # of the last pairing, um
         self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
@@ -97,7 +97,9 @@ class Contact:
         # All planes meet the same surface.
         needed += [global_numbers(self.space, p.slave.nodes).ravel() for p in self.planes[:1]]
         self.nodes = np.unique(np.concatenate(needed))
-        self._scatter(state)
+        wanted = PETSc.IS().createBlock(self.components, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+        self._exchange = Exchange(state, wanted)
+        self._reference = self._gather(self._coordinates)[:, : self.dim]
         values = self._gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
         self._searched, self._partners_at = False, None
@@ -389,19 +391,10 @@ class Contact:
         total = reductions.total(self.comm, sums)
         return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
 
-    def _scatter(self, state: PETSc.Vec) -> None:
-        bs = self.components
-        wanted = PETSc.IS().createBlock(bs, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
-        self._local = PETSc.Vec().createSeq(len(self.nodes) * bs, comm=MPI.COMM_SELF)
-        self._exchange = PETSc.Scatter().create(state, wanted, self._local, None)
-        self._reference = self._gather(self._coordinates)[:, : self.dim]
-
     def _gather(self, vector: PETSc.Vec) -> Array:
-        self._exchange.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-        return self._local.array.reshape(-1, self.components).copy()
+        return self._exchange.take(vector).reshape(-1, self.components)
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
         local = np.zeros((len(self.nodes), self.components))
         np.add.at(local, nodes, vectors)
-        self._local.array[:] = local.ravel()
-        self._exchange.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+        self._exchange.add(local.ravel(), result)
