@@ -31,9 +31,10 @@ log = logging.getLogger("piezomat")
 # Points that meet nothing are looked at again once a surface has moved by this share of a facet since the last time.
 DRIFT = 0.05
 NEAR = 0.5  # facets: points nearer to touch than this may soon do so
-# Relative residual below which the tangent knows that tractions turn with their facets. Far from equilibrium tractions
-# are wrong by much more than they are worth, and those terms, of either sign, make the tangent indefinite.
-TURNING = 1e-2
+# Relative residual below which the tangent is exact. Further from equilibrium tractions and potential jumps are wrong
+# by much more than they are worth: that tractions turn with their facets, and that the electric contact pulls the
+# harder, the nearer surfaces come, would make the tangent indefinite for nothing.
+EXACT = 1e-2
 
 
 class Contact:
@@ -75,7 +76,7 @@ class Contact:
         self.last_penetration = 0.0  # at the end of the last converged step, um
         self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
         self._keep = KEEP[0][1]
-        self._turning = True
+        self._exact = True
         self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
 
     def pair(self, state: PETSc.Vec, local_state: Array, local_coordinates: Array, margin: float) -> None:
@@ -120,7 +121,7 @@ class Contact:
             p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
             p.look(position, margin)
         self.outgrown = False
-        self._keep, self._turning = KEEP[0][1], True
+        self._keep, self._exact = KEEP[0][1], True
 
     def _meet_clumps(self, p: ContactPass, points: Array, facets: Array, margin: float) -> None:
         """Find the points near facets that they may meet, and which clumps each of them is near."""
@@ -138,7 +139,7 @@ class Contact:
         Points keep their facets the longer, the more iterations a solve has taken.
         """
         self._keep = max(share for start, share in KEEP if iteration >= start)
-        self._turning = residual < TURNING
+        self._exact = residual < EXACT
 
     def release(self) -> bool:
         """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""
@@ -171,14 +172,12 @@ class Contact:
         same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
         self._partners_at = position
         potentials = values[:, self.dim] if self.potential_scale is not None else None
-        at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls)
+        at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls, self._exact)
         try:
             if not same:
                 for p in self.passes:
                     find_partners(p, position, look)
-            of_passes = [
-                terms_of_pass(p, at, tangent=tangent, turning=self._turning, dragged=self.dragged) for p in self.passes
-            ]
+            of_passes = [terms_of_pass(p, at, tangent=tangent, dragged=self.dragged) for p in self.passes]
             of_planes = [terms_of_plane(p, at, tangent=tangent) for p in self.planes]
             failed = False
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -370,6 +369,11 @@ class Contact:
         gaps = [p.projection.gap for p in self.every if p.projection is not None]
         deepest = max((float(-gap.min(initial=0.0)) for gap in gaps), default=0.0)
         return self.comm.allreduce(deepest, op=MPI.MAX)
+
+    def depth(self) -> float:
+        """Deepest penetration of the last evaluation in sizes of the facets that it is found on."""
+        shares = [-p.projection.gap / p.size[p.rows[p.met]] for p in self.every if p.projection is not None]
+        return self.comm.allreduce(max((float(s.max(initial=0.0)) for s in shares), default=0.0), op=MPI.MAX)
 
     def energies(self) -> dict[str, float]:
         """Energies of the last evaluation (pJ; 2D: per um of depth): contact, adhesion, electric, dissipated.

@@ -23,7 +23,8 @@ class NodalState:
     """The state that contact is evaluated at: position (n, d) of the nodes, um, and their potential unknowns (n,).
 
     These times `scale` are potentials, V; both are None where there are none. components: unknowns of a node. pulls:
-    whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`.
+    whether the electric contact pulls on the surfaces; exact: whether the tangent is; for both see
+    `InterfaceLaw.respond`.
     """
 
     position: Array
@@ -31,6 +32,7 @@ class NodalState:
     components: int
     scale: float | None
     pulls: bool
+    exact: bool
 
 
 @dataclass
@@ -52,10 +54,10 @@ def no_terms(p: ContactPass | PlanePass, components: int, *, tangent: bool) -> C
     return ContactTerms(np.zeros((0, n), np.int64), np.zeros((0, n, components)), matrices)
 
 
-def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, turning: bool, dragged: bool) -> ContactTerms:
+def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: bool) -> ContactTerms:
     """The terms of a pass whose points have met their partners; sets its `jump`, `gap`, `response` and `force`.
 
-    turning: see `contact_vectors`; dragged: whether the pass's drag counts.
+    dragged: whether the pass's drag counts.
     """
     kind, rows, partner = p.slave.kind, p.rows[p.met], p.facet[p.met]
     facet, xi, shape, law = p.points.facet[rows], p.points.xi[rows], p.points.shape[rows], p.law[rows]
@@ -66,7 +68,8 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, turning: boo
         p.jump = at.scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
     shift = p.shift.at(kind, facet, xi)
     p.gap = p.projection.gap + shift[0]
-    r = p.response = respond(law, p.projection.gap, p.jump, p.history[rows], shift, pulls=at.pulls)
+    history, pulls, exact = p.history[rows], at.pulls, at.exact
+    r = p.response = respond(law, p.projection.gap, p.jump, history, shift, pulls=pulls, exact=exact)
     if dragged:
         r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
         r.curvature = r.curvature + p.drag.stiffness[rows]
@@ -85,7 +88,7 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, turning: boo
         at.components,
         there[active] if p.jump is not None else None,
         tangent=tangent,
-        turning=turning,
+        turning=at.exact,
     )
     d = at.position.shape[1]
     p.force = np.zeros((len(rows), d))
@@ -100,7 +103,13 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, turning: boo
 def terms_of_plane(p: PlanePass, at: NodalState, *, tangent: bool) -> ContactTerms:
     """The terms of a plane, which is evaluated for them."""
     facet, nodes, vectors, matrices = p.evaluate(
-        at.position, at.potentials, at.components, at.scale, tangent=tangent, pulls=at.pulls
+        at.position,
+        at.potentials,
+        at.components,
+        at.scale,
+        tangent=tangent,
+        pulls=at.pulls,
+        exact=at.exact,
     )
     # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
     nodes, vectors = np.concatenate([nodes, nodes], axis=1), np.pad(vectors, ((0, 0), (0, vectors.shape[1]), (0, 0)))

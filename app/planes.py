@@ -143,12 +143,14 @@ class PlanePass:
         *,
         tangent: bool,
         pulls: bool,
+        exact: bool,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array | None]:
         """Facet (k,), nodes (k, n), vectors (k, n, c) and matrices (k, n * c, n * c) of the points that answer.
 
         Of facets curved by `rounding` the nodes are the corners, the vectors and matrices those of all nodes.
 
-        potentials: the potential unknown at the nodes, which times `scale` is the potential. `pulls`: see the law.
+        potentials: the potential unknown at the nodes, which times `scale` is the potential. `pulls` and `exact`: see
+        the law.
         """
         rows, d = self.rows, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
@@ -164,7 +166,8 @@ class PlanePass:
                 self.jump = self.surface_potential - self.potential
         shift = self.shift.at(self.slave.kind, facet, self.points.xi[rows])
         self.gap = gap + shift[0]
-        r = self.response = respond(self.law[rows], gap, self.jump, self.history[rows], shift, pulls=pulls)
+        law, history = self.law[rows], self.history[rows]
+        r = self.response = respond(law, gap, self.jump, history, shift, pulls=pulls, exact=exact)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)

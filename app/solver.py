@@ -134,6 +134,7 @@ class Newton:
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.pulls = not (problem.model.loose and problem.model.electric)
+            problem.contact.settle(0, np.inf)
         self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)

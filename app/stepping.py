@@ -18,6 +18,9 @@ SNAP_PARTS = 100  # in which they must come to rest
 SNAP_LEVELS, SNAP_FALL = 5, 0.25  # drag falls by this factor so many times before none is tried
 SNAP_WAIT = 3  # parts to go on with a drag after less of it has failed
 AUGMENTATIONS = 40  # of one solve
+# Facets. A wave of length l in the surface that points press on shortens their way out by half of g (2 pi / l)^2 times
+# its height squared: deep inside, at a gap -g, that frees more energy of the penalty than the wave costs the body.
+DEEP = 0.5
 DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
 
 
@@ -154,8 +157,19 @@ class Stepper:
         self.size *= 0.5
         if self.size < 0.5**self.max_cutbacks:
             parts = round(0.5 / self.size)
-            raise SolveError(f"step {step.number} failed even in parts of 1/{parts}: {error}") from error
+            reason = f"step {step.number} failed even in parts of 1/{parts}: {error}{self._remark()}"
+            raise SolveError(reason) from error
         log.info("step %d: cut to 1/%d: %s", step.number, round(1.0 / self.size), error)
+
+    def _remark(self) -> str:
+        """What the last converged state says about why there is no next one."""
+        if self.problem.contact is None:
+            return ""
+        self.revisit()
+        depth = self.problem.contact.depth()
+        if depth <= DEEP:
+            return ""
+        return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
 
     def _snap(
         self, factors: dict[str, float], committed: Callable[[dict[str, float]], None], report: StepReport

@@ -101,6 +101,21 @@ def test_without_pulling_the_electric_contact_leaves_the_traction_alone(
 
 
 @each_law
+def test_an_inexact_tangent_leaves_out_what_the_electric_contact_adds_below_zero(
+    kind: str, always: bool, rng: np.random.Generator
+) -> None:
+    law = interface(kind, always, electric=True)
+    gap, history = samples(law, rng)
+    law, jump = on_all(law, len(gap)), rng.uniform(-3.0, 3.0, len(gap))
+    exact, inexact = law.respond(gap, jump, history), law.respond(gap, jump, history, exact=False)
+    mechanical = law.respond(gap, None, history)
+    np.testing.assert_array_equal(inexact.curvature, np.maximum(exact.curvature, mechanical.curvature))
+    assert (exact.curvature < inexact.curvature).any()
+    for name in ("slope", "charge", "mixed", "electric_curvature", "contact", "electric"):
+        np.testing.assert_array_equal(getattr(inexact, name), getattr(exact, name))
+
+
+@each_law
 @pytest.mark.parametrize("electric", [False, True])
 def test_slopes_are_derivatives_of_the_energy(
     kind: str, always: bool, electric: bool, rng: np.random.Generator

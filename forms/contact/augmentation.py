@@ -69,10 +69,12 @@ def respond(
     shift: tuple[Array, Array],
     *,
     pulls: bool = True,
+    exact: bool = True,
 ) -> Response:
     """The law's response with multipliers: derivatives of its enthalpy less what the multipliers store, pJ/um2."""
     more_gap, more_jump = shift
-    r = law.respond(gap + more_gap, None if jump is None else jump + more_jump, history, pulls=pulls)
+    shifted = None if jump is None else jump + more_jump
+    r = law.respond(gap + more_gap, shifted, history, pulls=pulls, exact=exact)
     r.contact = r.contact - 0.5 * law.penalty * more_gap**2
     if jump is not None and law.electric_penalty is not None:
         r.electric = r.electric - 0.5 * law.electric_penalty * more_jump**2

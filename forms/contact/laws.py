@@ -257,10 +257,13 @@ class InterfaceLaw:
             apart = np.where(history.touched & ~bonded, 3, apart)
         return np.where(gap <= self.rest, 1, apart).astype(np.int8)
 
-    def respond(self, gap: Array, jump: Array | None, history: History, *, pulls: bool = True) -> Response:
+    def respond(
+        self, gap: Array, jump: Array | None, history: History, *, pulls: bool = True, exact: bool = True
+    ) -> Response:
         """Response at gaps (m,) and, with an electric penalty, potential jumps (m,) in V.
 
-        Without `pulls` the electric contact follows the gap and does not pull on the surfaces.
+        Without `pulls` the electric contact follows the gap and does not pull on the surfaces. Not `exact`, the
+        curvature leaves out where it pulls the harder, the nearer surfaces come.
         """
         # At gap 0 the curvature is that of pressing: bodies that start in touch are most often pressed together.
         pressed = gap <= 0.0
@@ -272,10 +275,12 @@ class InterfaceLaw:
         if self.adhesion is not None:
             self.adhesion.answer(gap, history, response)
         if self.electric_penalty is not None and jump is not None:
-            self._electrify(gap, jump, history, response, pulls)
+            self._electrify(gap, jump, history, response, pulls, exact)
         return response
 
-    def _electrify(self, gap: Array, jump: Array, history: History, response: Response, pulls: bool) -> None:
+    def _electrify(
+        self, gap: Array, jump: Array, history: History, response: Response, pulls: bool, exact: bool
+    ) -> None:
         s, s1, s2 = _fade((gap - self.rest) / self.fade)
         s1, s2 = s1 / self.fade, s2 / self.fade**2
         if self.adhesion is not None:
@@ -290,7 +295,8 @@ class InterfaceLaw:
         if pulls:
             response.mixed = -rho * s1 * jump
             response.slope = response.slope - 0.5 * rho * s1 * jump**2
-            response.curvature = response.curvature - 0.5 * rho * s2 * jump**2
+            stiffness = -0.5 * rho * s2 * jump**2
+            response.curvature = response.curvature + (stiffness if exact else np.maximum(stiffness, 0.0))
 
 
 def _fade(x: Array) -> tuple[Array, Array, Array]:
