@@ -35,6 +35,8 @@ NEAR = 0.5  # facets: points nearer to touch than this may soon do so
 # by much more than they are worth: that tractions turn with their facets, and that the electric contact pulls the
 # harder, the nearer surfaces come, would make the tangent indefinite for nothing.
 EXACT = 1e-2
+# The same where bodies are loose: on some of them nothing but that pull acts, whose forces are a small part of all.
+EXACT_LOOSE = 1e-5
 
 
 class Contact:
@@ -72,6 +74,7 @@ class Contact:
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
         self.broken = False  # whether the last evaluation has failed
         self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
+        self.loose = False  # whether nothing but contact holds some of the bodies
         self.dragged = False  # whether bonds resist their opening
         self.last_penetration = 0.0  # at the end of the last converged step, um
         self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
@@ -139,7 +142,7 @@ class Contact:
         Points keep their facets the longer, the more iterations a solve has taken.
         """
         self._keep = max(share for start, share in KEEP if iteration >= start)
-        self._exact = residual < EXACT
+        self._exact = residual < (EXACT_LOOSE if self.loose else EXACT)
 
     def release(self) -> bool:
         """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""

@@ -47,7 +47,9 @@ def contact_of(model: Model) -> Contact | None:
     else:
         passes, pairs = _of_scene(model)
     planes = _planes(model, len(pairs.listed))
-    return Contact(model.comm, model.space, model.coordinate_vector(), passes, planes, pairs, model.potential_scale)
+    contact = Contact(model.comm, model.space, model.coordinate_vector(), passes, planes, pairs, model.potential_scale)
+    contact.loose = model.loose
+    return contact
 
 
 def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:

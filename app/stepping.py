@@ -97,7 +97,7 @@ class Stepper:
                 report.cutbacks += 1
                 contact = self.problem.contact
                 if contact is None or not contact.adhesive or self.size > 0.5**SNAP_CUTBACKS:
-                    self._cut(step, error)
+                    self._cut(step, target - done, error)
                     continue
                 log.info("step %d: bonds snap: %s", step.number, error)
                 self._snap(step.factors(target), committed, report)
@@ -152,9 +152,9 @@ class Stepper:
             "potential's range: raise contact.augment or the penalties, or take one pass"
         )
 
-    def _cut(self, step: Step, error: SolveError) -> None:
-        """Halve the share of a step that is tried; SolveError when that has been done often enough."""
-        self.size *= 0.5
+    def _cut(self, step: Step, tried: float, error: SolveError) -> None:
+        """Try half of this share of a step next; SolveError when that has been done often enough."""
+        self.size = 0.5 * tried
         if self.size < 0.5**self.max_cutbacks:
             parts = round(0.5 / self.size)
             reason = f"step {step.number} failed even in parts of 1/{parts}: {error}{self._remark()}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from mpi4py import MPI
 from app import contact, solver
 from app.scene import Scene, SceneError
 from app.simulation import NotConverged, run
+from app.solver import SolveError
+from app.stepping import Step, Stepper, StepReport
+from scripts.mats import COARSE, STEPS, mat, value
 from tests.scenes import press
 
 
@@ -271,3 +275,30 @@ def test_fine_curved_facets_far_inside_each_other_neither_scallop_nor_slide_abou
     ).history
     assert max(row["newton"] for row in history) <= 8 and not any(row["cutbacks"] for row in history)
     assert history[-1]["max_penetration@lower-upper"] > 0.6 * 0.004
+
+
+@pytest.mark.parametrize(("count", "seed"), [(6, 3), (30, 2)])
+def test_loose_fibers_do_not_swing_in_the_pull_of_potentials(count: int, seed: int) -> None:
+    """The tangent was indefinite where only the fading electric contact pulls on a fiber: steps of no length, cuts."""
+    keys = mat(count, seed, steps=1, finer=COARSE) | {"load.factors.press": [1.0 / STEPS], "solver.kind": "direct"}
+    scene = Scene.load("random_mat", [f"{key}={value(thing)}" for key, thing in keys.items()])
+    (last,) = run(scene, MPI.COMM_SELF).history
+    assert last["cutbacks"] == 0 and last["newton"] <= 25
+    assert last["force_z@lid"] < -1.0 and last["stabilization"] < 1e-3 * last["elastic"]
+
+
+def test_what_has_failed_is_not_tried_again_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of a share larger than what is left of the step may still be all that is left."""
+    done, tried = [0.0], []
+
+    def part(stepper: Stepper, factors: dict[str, float], committed: Any, report: StepReport) -> None:
+        tried.append((done[-1], factors["press"]))
+        if factors["press"] - done[-1] > (0.6 if not done[-1] else 0.3):
+            raise SolveError("too far")
+        done.append(factors["press"])
+
+    monkeypatch.setattr(Stepper, "_part", part)
+    stepper = Stepper(SimpleNamespace(contact=None), None, max_cutbacks=3)
+    report = stepper.advance(Step(1, 1, {"press": 0.0}, {"press": 1.0}), lambda factors: None)
+    assert done[-1] == 1.0 and report.cutbacks == len(tried) - len(done) + 1
+    assert len(set(tried)) == len(tried) > len(done)
