@@ -72,10 +72,16 @@ def closest_facets(
     """
     found = np.full(len(points), -1)
     where = np.zeros((len(points), kind.dim))
-    row, facet, clear = _may_be_nearest(kind, points, normals, facets, orientation, margin)
+    row, facet, clear, unseen = _may_be_nearest(kind, points, normals, facets, orientation, margin)
     if not len(row):
         return found, where, clear
     seen = _look(kind, points, normals, facets, orientation, row, facet)
+    least = seen.least(len(points))
+    again = np.flatnonzero(np.isfinite(least) & (unseen < least))
+    if len(again):
+        more_row, more_facet = _all_within(points[again], facets, least[again])
+        more = _look(kind, points, normals, facets, orientation, again[more_row], more_facet)
+        seen = seen[~np.isin(row, again)].and_those(more)
     # A point behind a facet is inside the body only if the nearest facet of all says so too: the far side of a body
     # faces the far side of the other.
     closest = np.lexsort((~seen.facing, seen.distance, seen.row))
@@ -108,6 +114,11 @@ class _Seen:
 
     def __getitem__(self, pairs: NDArray) -> _Seen:
         return _Seen(*(getattr(self, name)[pairs] for name in self.__dataclass_fields__))
+
+    def and_those(self, more: _Seen) -> _Seen:
+        """These pairs and then more."""
+        both = ((getattr(self, name), getattr(more, name)) for name in self.__dataclass_fields__)
+        return _Seen(*(np.concatenate(parts) for parts in both))
 
     def least(self, points: int) -> Array:
         """Distance of each point to the nearest facet that faces it, inf for none."""
@@ -196,18 +207,22 @@ def _candidates(
 
 def _may_be_nearest(
     kind: FacetKind, points: Array, normals: Array, facets: Array, orientation: Array, margin: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
     """Pairs (point, facet) that a cheap bound cannot rule out: few need a closer look.
 
-    And how far (m,) all facets are from each point at least, as far as `margin`.
+    And how far (m,) all facets are from each point at least, as far as `margin`, and those that are left out although
+    they might be nearest: where none of the nearest facets surely faces the point, all within `margin` may be many.
     """
-    clear = np.full(len(points), margin)
+    clear, left_out = np.full(len(points), margin), np.full(len(points), np.inf)
     if not len(facets):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), clear
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), clear, left_out
     flat = _Flat.of(kind, facets, orientation)
     row, facet, unseen = _candidates(kind, points, facets, margin)
     row, facet, least, nearest = _bounded(kind, points, normals, flat, row, facet, margin)
-    again = np.flatnonzero(unseen < nearest)
+    again = np.flatnonzero((unseen < nearest) & (nearest < margin))
+    some = (unseen < nearest) & (nearest >= margin)
+    left_out[some] = unseen[some]
+    clear = np.minimum(clear, np.maximum(left_out, 0.0))
     if len(again):
         more = _all_within(points[again], facets, nearest[again])
         more_row, more_facet, more_least, _ = _bounded(kind, points[again], normals[again], flat, *more, margin)
@@ -216,7 +231,7 @@ def _may_be_nearest(
         facet = np.concatenate([facet[once], more_facet])
         least = np.concatenate([least[once], more_least])
     np.minimum.at(clear, row, np.maximum(least, 0.0))
-    return row, facet, clear
+    return row, facet, clear, left_out
 
 
 @dataclass(frozen=True)
