@@ -17,9 +17,9 @@ from app.scene_sections import Solver
 # Largest three-dimensional model that is factorized. Multigrid costs less from 6,000 unknowns (two crossed fibers, five
 # steps, linear solves: 0.5 s against 0.7; 3.6 s against 6 at 18,000; 18 s against 51 at 77,000); factors are exact.
 DIRECT_LIMIT_3D = 10_000
-# The same where bodies are loose, held by contact alone: multigrid may need hundreds of iterations for them, and while
-# contact takes the most time factors cost little (a mat of 33,000 unknowns: 18 % of the run).
-LOOSE_LIMIT_3D = 40_000
+# The same where bodies are loose, held by contact alone: multigrid may need hundreds of iterations for them, and where
+# fibers are slender factors cost little (a mat of 88,000 unknowns: 0.5 s a solve against 1 to 9 s).
+LOOSE_LIMIT_3D = 100_000
 # Most unknowns of the contact's candidates, whose dense matrix is factorized in each iteration: more in large models.
 CONDENSED_LIMIT, CONDENSED_SHARE, CONDENSED_ALWAYS = 5_000, 0.2, 500
 START_TOLERANCE = 0.1  # of the linear solve that gives Newton's method its start value
