@@ -402,6 +402,6 @@ class Contact:
         return self._exchange.take(vector).reshape(-1, self.components)
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
-        local = np.zeros((len(self.nodes), self.components))
-        np.add.at(local, nodes, vectors)
-        self._exchange.add(local.ravel(), result)
+        unknowns = nodes[..., None] * self.components + np.arange(self.components)
+        size = len(self.nodes) * self.components
+        self._exchange.add(np.bincount(unknowns.ravel(), vectors.ravel(), size), result)

@@ -308,9 +308,8 @@ class Model:
         return middle
 
     def _sum_by_part(self, part: NDArray[np.int64], values: Array) -> Array:
-        total = np.zeros((len(self.bodies.part_bodies), values.shape[1]))
-        np.add.at(total, part, values)
-        return reductions.total(self.comm, total)
+        parts = len(self.bodies.part_bodies)
+        return reductions.total(self.comm, np.stack([np.bincount(part, v, parts) for v in values.T], axis=1))
 
 
 def rigid_modes(x: Array) -> Array:

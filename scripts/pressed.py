@@ -79,6 +79,8 @@ class Failed(RuntimeError):
 def measured(command: list[str], environment: dict[str, str] | None = None) -> Cost:
     """Run a process to its end on one thread. Raises Failed."""
     variables = {**os.environ, "PYTHONPATH": str(ROOT), **ONE_THREAD, **(environment or {})}
+    # What is installed brings its byte code along; Python is to keep ours too, as it does unless told not to.
+    variables.pop("PYTHONDONTWRITEBYTECODE", None)
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as errors:
         start = perf_counter()
         process = subprocess.Popen(command, stdout=out, stderr=errors, env=variables)
