@@ -72,10 +72,10 @@ def fibers(method: Method, approach: float, facet: float, steps: int, **contact:
 
 def hertz_error(run: Run, approach: float) -> float:
     """The larger of the errors of the load, at this approach, and of the half-width, from the load there is."""
-    load = -run.history[-1]["force_y@top"]
-    if load <= 0.0:
+    load, points = -run.history[-1]["force_y@top"], Points(run)
+    if points.force <= 0.0:
         return math.inf
-    width = 2.0 * math.sqrt(Points(run).spread([0])) / ref.hertz_line(load, RELATIVE, MODULUS).size - 1.0
+    width = 2.0 * math.sqrt(points.spread([0])) / ref.hertz_line(load, RELATIVE, MODULUS).size - 1.0
     kinematics = run.model.scene.model.kinematics
     return max(abs(width), abs(load / FORCES[kinematics, approach] - 1.0))
 
