@@ -225,9 +225,9 @@ class Problem:
         ends = np.array([values.max(initial=-np.inf), -values.min(initial=np.inf)])
         return max(float(reductions.largest(self.comm, ends).sum()), ROUNDING * scale)
 
-    def motion(self) -> float:
-        """How far a node has moved since the step began, um: the largest component."""
-        change = self.displacements(self.state) - self.displacements(self.start)
+    def motion(self, since: PETSc.Vec | None = None) -> float:
+        """How far a node has moved since an earlier state, or since the step began, um: the largest component."""
+        change = self.displacements(self.state) - self.displacements(self.start if since is None else since)
         return self.maximum(float(np.abs(change).max(initial=0.0)))
 
     def energies(self, x: PETSc.Vec) -> dict[str, float]:

@@ -30,9 +30,11 @@ JUMP = 1e-2  # share of a step within which a line search leaves a jump of the s
 PULLING = 1e-3  # of the forces: out of balance by less, floating bodies feel how the electric contact pulls
 REFINEMENTS = 5  # of a linear solve
 CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
-SPRINGS = tuple(10.0**power for power in range(7, -1, -1))  # factors by which those springs are stronger at first
+STRONGEST = 1e7  # factor by which those springs are stronger at first
+FALL, LEAST_FALL = 10.0, 1.3  # how much weaker they get from solve to solve, and the least that is tried
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 THROUGH = 0.5  # share of the least thickness by which a floating part may move beyond what is prescribed in a step
+UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
 RECHECKS = 3  # how often one solve goes on because points had kept facets that they have left
 CUTS = 4  # how often one solve may cut segments anew where it has ended
@@ -114,19 +116,42 @@ class Newton:
         problem.start.copy(problem.state)
         problem.pair(margin)
         try:
-            for factor in SPRINGS:
-                problem.set_grounding(factor)
-                self._solve(margin, report)
+            self._let_down(margin, report)
         finally:
             problem.set_grounding(1.0)
-        if problem.carried_by_grounding() > CARRIED or self._flew(prescribed):
-            raise SolveError("nothing holds a body against the load on it: no boundary, and no contact")
+        if problem.carried_by_grounding() > CARRIED:
+            raise SolveError(UNHELD)
         return report
 
-    def _flew(self, prescribed: float) -> bool:
+    def _let_down(self, margin: float, report: NewtonReport) -> None:
+        """Solve with strong springs of floating parts and ever weaker ones, so that no part leaps through another."""
+        problem = self.problem
+        here, last, factor, fall = problem.state.copy(), STRONGEST, STRONGEST, FALL
+        while True:
+            prescribed = problem.prescribed_motion()
+            problem.set_grounding(factor)
+            try:
+                self._solve(margin, report)
+                if self._flew(prescribed, here):
+                    raise SolveError(UNHELD)
+            except SolveError:
+                fall = fall**0.5
+                if fall < LEAST_FALL or factor == STRONGEST:
+                    raise
+                here.copy(problem.state)
+                problem.pair(margin)
+            else:
+                if factor == 1.0:
+                    return
+                problem.state.copy(here)
+                last, fall = factor, min(fall**2, FALL)
+            factor = max(last / fall, 1.0)
+
+    def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
         """Whether a part may have flown through another: its springs are too weak to hold it or to tell."""
         problem = self.problem
-        return problem.floats and problem.motion() > prescribed + THROUGH * problem.model.part_thickness.min()
+        allowed = prescribed + THROUGH * problem.model.part_thickness.min()
+        return problem.floats and problem.motion(since) > allowed
 
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 from typing import Any
 
@@ -40,6 +41,25 @@ def test_a_traction_presses_a_body_that_only_contact_holds(gap: float) -> None:
     last = run(blocks(geometry=geometry), MPI.COMM_SELF).history[-1]
     assert last["contact_force_y@lower-upper"] == pytest.approx(-1.0, rel=1e-5)
     assert last["force_y@bottom"] == pytest.approx(1.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.05])
+def test_no_block_of_a_pile_leaps_through_the_next(gap: float) -> None:
+    """Springs ten times weaker threw four blocks through the lowest: contact was lost, and then they flew."""
+    names = [f"block_{i}" for i in range(1, 6)]
+    scene = blocks(
+        geometry={
+            "shape": "stacked_blocks",
+            "height": [0.3] * 5,
+            "divisions": [[3, 2], [4, 2], [5, 2], [3, 2], [4, 2]],
+            "gap": gap,
+        },
+        mesh={"cells": "tensor", "order": 2},
+        bodies=dict.fromkeys(names, "soft"),
+    )
+    last = run(scene, MPI.COMM_SELF).history[-1]
+    for lower, upper in itertools.pairwise(names):
+        assert last[f"contact_force_y@{lower}-{upper}"] == pytest.approx(-1.0, rel=1e-3)
 
 
 def test_a_load_that_nothing_holds_is_said() -> None:
