@@ -30,8 +30,7 @@ JUMP = 1e-2  # share of a step within which a line search leaves a jump of the s
 PULLING = 1e-3  # of the forces: out of balance by less, floating bodies feel how the electric contact pulls
 REFINEMENTS = 5  # of a linear solve
 CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
-STRONGEST = 1e7  # factor by which those springs are stronger at first
-FALL, LEAST_FALL = 10.0, 1.3  # how much weaker they get from solve to solve, and the least that is tried
+STRONGEST, FALL, LEAST_FALL = 1e7, 10.0, 1.3  # how strong they are at first; by what they weaken, at most, at least
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 THROUGH = 0.5  # share of the least thickness by which a floating part may move beyond what is prescribed in a step
 UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
@@ -150,8 +149,7 @@ class Newton:
     def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
         """Whether a part may have flown through another: its springs are too weak to hold it or to tell."""
         problem = self.problem
-        allowed = prescribed + THROUGH * problem.model.part_thickness.min()
-        return problem.floats and problem.motion(since) > allowed
+        return problem.floats and problem.motion(since) > prescribed + THROUGH * problem.model.part_thickness.min()
 
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem
