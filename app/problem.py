@@ -107,6 +107,7 @@ class Problem:
 
     def begin_step(self, margin: float) -> None:
         """Start a step from the converged state: pair the surfaces anew and remember where the step starts."""
+        self.collect_garbage()
         self.state.copy(self.start)
         self.pair(margin)
 
