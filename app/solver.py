@@ -374,7 +374,7 @@ class Newton:
             report.residuals.append(self._relative(self._residual))
             if report.residuals[-1] <= self.keys.tolerance:
                 return
-            self._predict(NewtonReport(), closely=True)
+            self._predict(report, closely=True)
         raise SolveError(f"the linear system was solved to a relative residual of {report.residuals[-1]:.1e} only")
 
     def _check(self, reason: int) -> None:
