@@ -17,7 +17,7 @@ from app.contact_terms import ContactTerms, NodalState, no_terms, terms_of_pass,
 from app.exchange import Exchange
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
-from forms.contact.augmentation import corner_kind, together
+from forms.contact.augmentation import corner_kind
 from forms.contact.laws import Drag
 from meshes.crowd import Meetings, VisibleFacets, share_facets
 from meshes.overlap import deepest_overlap
@@ -77,7 +77,6 @@ class Contact:
         self.loose = False  # whether nothing but contact holds some of the bodies
         self.dragged = False  # whether bonds resist their opening
         self.last_penetration = 0.0  # at the end of the last converged step, um
-        self.left = np.zeros(2)  # gap in facet sizes and jump in the potential's range that augmentation leaves
         self._keep = KEEP[0][1]
         self._exact = True
         self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
@@ -301,30 +300,7 @@ class Contact:
             p.history.opening[near] = advanced.opening
             p.remember()
 
-    def augment(self, tolerance: float, potential_range: float) -> bool:
-        """Whether gaps and jumps of the last evaluation are within a tolerance; if not, take a step of augmentation.
-
-        tolerance: in facet sizes, and in the range of the potential (V).
-        """
-        after, worst = [], np.zeros(2)
-        for p in self.every:
-            rows = p.rows[p.met]
-            share, jump = together(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
-            means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
-            new = p.shift.augmented(self._corner_sums(p, rows, p.points.weight[rows, None] * means))
-            size = np.zeros(len(p.slave))
-            size[p.points.facet] = p.size
-            gap, jump = np.abs(new.gap - p.shift.gap) / size[:, None], np.abs(new.jump - p.shift.jump) / potential_range
-            worst = np.maximum(worst, [gap.max(initial=0.0), jump.max(initial=0.0)])
-            after.append(new)
-        self.left = reductions.largest(self.comm, worst)
-        if (self.left <= tolerance).all():
-            return True
-        for p, new in zip(self.every, after, strict=True):
-            p.shift = new
-        return False
-
-    def _corner_sums(self, p: ContactPass | PlanePass, rows: NDArray[np.int64], values: Array) -> Array:
+    def corner_sums(self, p: ContactPass | PlanePass, rows: NDArray[np.int64], values: Array) -> Array:
         """Sums (f, k, ...) over all facets at the corners of this rank's: corner functions times values (m, ...)."""
         shape = corner_kind(p.slave.kind).shape(p.points.xi[rows])
         corners = p.slave_nodes[:, : shape.shape[1]]

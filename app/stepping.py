@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from app.augmentation import augment
 from app.problem import Problem
 from app.scene_sections import Load
 from app.snap import snap_work
@@ -144,9 +145,10 @@ class Stepper:
             report.augmentations += number > 0
             if keys is None or keys.augment is None:
                 return
-            if problem.contact.augment(keys.augment, problem.potential_range()):
+            left = augment(problem.contact, keys.augment, problem.potential_range())
+            if left is None:
                 return
-        gap, jump = problem.contact.left
+        gap, jump = left
         raise AugmentationError(
             f"{AUGMENTATIONS} augmentations leave a gap of {gap:.1e} facets and a jump of {jump:.1e} of the "
             "potential's range: raise contact.augment or the penalties, or take one pass"
