@@ -23,6 +23,7 @@ from app import scene_file
 from app.files import on_root
 from app.scene import MeshError, Scene, SceneError, mesh_error, schema
 from app.scene_errors import named
+from app.startup import importing
 
 DONE, FAILED, WRONG_SCENE, NOT_CONVERGED = 0, 1, 2, 3
 
@@ -130,9 +131,10 @@ def _resume(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 
 def _simulate(scene: Scene, comm: MPI.Comm, out: Path, *, resume: bool) -> int:
-    from app import simulation
-    from app.checkpoint import CheckpointError
-    from app.pieces import ResultsError
+    with importing():
+        from app import simulation
+        from app.checkpoint import CheckpointError
+        from app.pieces import ResultsError
 
     try:
         simulation.run(scene, comm, out, resume=resume)

@@ -19,6 +19,7 @@ from scripts.others import OTHERS, installed
 from scripts.pressed import Cost, Failed, measured, pressed, run_of, write_mesh
 
 SIZES = {
+    "2d-4k": ("facing_halves", 0.016, 0.076),
     "2d-15k": ("facing_halves", 0.008, 0.038),
     "2d-59k": ("facing_halves", 0.004, 0.019),
     "2d-235k": ("facing_halves", 0.002, 0.0095),
@@ -80,7 +81,7 @@ def where(case: str, costs: list[Cost]) -> str:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__.splitlines()[0])
-    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"{', '.join(SIZES)}; default: the two smallest")
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"{', '.join(SIZES)}; default: 2d-15k 3d-20k")
     parser.add_argument("--repeat", type=int, default=3, help="runs of each (default 3)")
     parser.add_argument(
         "--with", dest="others", nargs="+", choices=list(OTHERS), default=[], help="programs, installed if need be"

@@ -7,8 +7,11 @@ import sys
 
 from mpi4py import MPI
 
-from app.scene import Scene
-from app.simulation import run
+from app.startup import importing
+
+with importing():  # as the command line does
+    from app.scene import Scene
+    from app.simulation import run
 
 done = run(Scene.load(sys.argv[1]), MPI.COMM_WORLD)
 last = done.history[-1]
