@@ -35,8 +35,8 @@ NEAR = 0.5  # facets: points nearer to touch than this may soon do so
 # by much more than they are worth: that tractions turn with their facets, and that the electric contact pulls the
 # harder, the nearer surfaces come, would make the tangent indefinite for nothing.
 EXACT = 1e-2
-# The same where bodies are loose and do not stick: on some of them that pull, a small part of all forces, acts alone.
-EXACT_LOOSE = 1e-5
+# The same where bodies are loose: on some of them nothing but that pull acts, whose forces are a small part of all.
+EXACT_LOOSE = 1e-3
 
 
 class Contact:
@@ -141,7 +141,7 @@ class Contact:
         Points keep their facets the longer, the more iterations a solve has taken.
         """
         self._keep = max(share for start, share in KEEP if iteration >= start)
-        self._exact = residual < (EXACT_LOOSE if self.loose and not self.adhesive else EXACT)
+        self._exact = residual < (EXACT_LOOSE if self.loose else EXACT)
 
     def release(self) -> bool:
         """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""
