@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,9 @@ from petsc4py import PETSc
 
 from app import reductions
 from app.contact_pass import LARGEST_SHAPE, ContactPass, Pairs
-from app.contact_terms import ContactTerms, NodalState, no_terms, terms_of_pass, terms_of_plane
+from app.contact_terms import ContactTerms, no_terms, terms_of_pass, terms_of_plane
 from app.exchange import Exchange
+from app.nodal_state import NodalState
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
 from forms.contact.augmentation import corner_kind
@@ -51,6 +52,8 @@ class Contact:
         planes: Sequence[PlanePass],
         pairs: Pairs,
         potential_scale: float | None,
+        *,
+        loose: bool,
     ) -> None:
         self.comm = comm
         self.pairs = pairs
@@ -61,6 +64,7 @@ class Contact:
         self.dim = space.mesh.geometry.dim
         self.components = space.dofmap.index_map_bs
         self.potential_scale = potential_scale
+        self.loose = loose  # whether nothing but contact holds some of the bodies
         self.cuts = any(p.segments for p in self.passes)
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
@@ -74,7 +78,6 @@ class Contact:
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
         self.broken = False  # whether the last evaluation has failed
         self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
-        self.loose = False  # whether nothing but contact holds some of the bodies
         self.dragged = False  # whether bonds resist their opening
         self.last_penetration = 0.0  # at the end of the last converged step, um
         self._keep = KEEP[0][1]
@@ -345,14 +348,15 @@ class Contact:
 
     def penetration(self) -> float:
         """Deepest penetration of the last evaluation, um."""
-        gaps = [p.projection.gap for p in self.every if p.projection is not None]
-        deepest = max((float(-gap.min(initial=0.0)) for gap in gaps), default=0.0)
-        return self.comm.allreduce(deepest, op=MPI.MAX)
+        return self._deepest(-p.projection.gap for p in self.every if p.projection is not None)
 
     def depth(self) -> float:
         """Deepest penetration of the last evaluation in sizes of the facets that it is found on."""
-        shares = [-p.projection.gap / p.size[p.rows[p.met]] for p in self.every if p.projection is not None]
-        return self.comm.allreduce(max((float(s.max(initial=0.0)) for s in shares), default=0.0), op=MPI.MAX)
+        every = (p for p in self.every if p.projection is not None)
+        return self._deepest(-p.projection.gap / p.size[p.rows[p.met]] for p in every)
+
+    def _deepest(self, depths: Iterable[Array]) -> float:
+        return self.comm.allreduce(max((float(d.max(initial=0.0)) for d in depths), default=0.0), op=MPI.MAX)
 
     def energies(self) -> dict[str, float]:
         """Energies of the last evaluation (pJ; 2D: per um of depth): contact, adhesion, electric, dissipated.

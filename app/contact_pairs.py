@@ -47,9 +47,8 @@ def contact_of(model: Model) -> Contact | None:
     else:
         passes, pairs = _of_scene(model)
     planes = _planes(model, len(pairs.listed))
-    contact = Contact(model.comm, model.space, model.coordinate_vector(), passes, planes, pairs, model.potential_scale)
-    contact.loose = model.loose
-    return contact
+    x, scale = model.coordinate_vector(), model.potential_scale
+    return Contact(model.comm, model.space, x, passes, planes, pairs, scale, loose=model.loose)
 
 
 def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.contact_pass import ContactPass
+from app.nodal_state import NodalState
 from app.planes import PlanePass
 from forms.contact.augmentation import respond
 from forms.contact.facets import FacetKind
@@ -16,23 +17,6 @@ from forms.contact.laws import Response
 from forms.contact.smoothing import to_corners
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class NodalState:
-    """The state that contact is evaluated at: position (n, d) of the nodes, um, and their potential unknowns (n,).
-
-    These times `scale` are potentials, V; both are None where there are none. components: unknowns of a node. pulls:
-    whether the electric contact pulls on the surfaces; exact: whether the tangent is; for both see
-    `InterfaceLaw.respond`.
-    """
-
-    position: Array
-    potentials: Array | None
-    components: int
-    scale: float | None
-    pulls: bool
-    exact: bool
 
 
 @dataclass
@@ -102,15 +86,7 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: boo
 
 def terms_of_plane(p: PlanePass, at: NodalState, *, tangent: bool) -> ContactTerms:
     """The terms of a plane, which is evaluated for them."""
-    facet, nodes, vectors, matrices = p.evaluate(
-        at.position,
-        at.potentials,
-        at.components,
-        at.scale,
-        tangent=tangent,
-        pulls=at.pulls,
-        exact=at.exact,
-    )
+    facet, nodes, vectors, matrices = p.evaluate(at, tangent=tangent)
     # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
     nodes, vectors = np.concatenate([nodes, nodes], axis=1), np.pad(vectors, ((0, 0), (0, vectors.shape[1]), (0, 0)))
     if matrices is not None:

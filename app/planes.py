@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from app.nodal_state import NodalState
 from app.scene_sections import Plane
 from forms.contact.augmentation import Shift, respond
 from forms.contact.gap import point_normals
@@ -135,39 +136,30 @@ class PlanePass:
         self.met = np.arange(len(self.rows))
 
     def evaluate(
-        self,
-        position: Array,
-        potentials: Array | None,
-        components: int,
-        scale: float | None,
-        *,
-        tangent: bool,
-        pulls: bool,
-        exact: bool,
+        self, at: NodalState, *, tangent: bool
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array | None]:
         """Facet (k,), nodes (k, n), vectors (k, n, c) and matrices (k, n * c, n * c) of the points that answer.
 
         Of facets curved by `rounding` the nodes are the corners, the vectors and matrices those of all nodes.
-
-        potentials: the potential unknown at the nodes, which times `scale` is the potential. `pulls` and `exact`: see
-        the law.
         """
         rows, d = self.rows, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
         nodes = self.slave_nodes[facet]
         kind, offsets = self.slave.kind, self.slave.rounding[facet]
-        self.position = np.einsum("mk,mkd->md", shape, rounded(kind, position[nodes], offsets))
+        self.position = np.einsum("mk,mkd->md", shape, rounded(kind, at.position[nodes], offsets))
         gap = self._gap(self.position)
         self.projection = PlaneProjection(gap, np.tile(self.normal, (len(rows), 1)))
         self.jump = self.surface_potential = None
-        if potentials is not None:
-            self.surface_potential = scale * np.einsum("mk,mk->m", shape, spread(kind, potentials[nodes], offsets))
+        if at.potentials is not None:
+            self.surface_potential = at.scale * np.einsum(
+                "mk,mk->m", shape, spread(kind, at.potentials[nodes], offsets)
+            )
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
         shift = self.shift.at(self.slave.kind, facet, self.points.xi[rows])
         self.gap = gap + shift[0]
         law, history = self.law[rows], self.history[rows]
-        r = self.response = respond(law, gap, self.jump, history, shift, pulls=pulls, exact=exact)
+        r = self.response = respond(law, gap, self.jump, history, shift, pulls=at.pulls, exact=at.exact)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)
@@ -175,16 +167,16 @@ class PlanePass:
         active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
         shape, nodes, weight = shape[active], nodes[active], weight[active]
         m, n = shape.shape
-        first = np.zeros((m, 2, n, components))  # variations of gap and jump
+        first = np.zeros((m, 2, n, at.components))  # variations of gap and jump
         first[:, 0, :, :d] = shape[:, :, None] * self.normal
         if self.jump is not None:
-            first[:, 1, :, d] = scale * shape
+            first[:, 1, :, d] = at.scale * shape
         slopes = np.stack([r.slope, r.charge], axis=1)[active]
         vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
         if not tangent:
             return facet[active], nodes, vectors, None
         second = np.stack([r.curvature, r.mixed, r.mixed, r.electric_curvature], axis=1)[active].reshape(m, 2, 2)
-        flat = first.reshape(m, 2, n * components)
+        flat = first.reshape(m, 2, n * at.components)
         matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
         return facet[active], nodes, vectors, matrices
 

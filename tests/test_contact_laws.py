@@ -84,15 +84,22 @@ def slope(f: Callable[[float], Array], step: float) -> Array:
     return (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
 
 
+def electrified(
+    kind: str, always: bool, rng: np.random.Generator
+) -> tuple[InterfaceLaw, Array, Array, History, Response]:
+    """A law at many gaps with a history, with jumps, and its response without those."""
+    law = interface(kind, always, electric=True)
+    gap, history = samples(law, rng)
+    law, jump = on_all(law, len(gap)), rng.uniform(-3.0, 3.0, len(gap))
+    return law, gap, jump, history, law.respond(gap, None, history)
+
+
 @each_law
 def test_without_pulling_the_electric_contact_leaves_the_traction_alone(
     kind: str, always: bool, rng: np.random.Generator
 ) -> None:
-    law = interface(kind, always, electric=True)
-    gap, history = samples(law, rng)
-    law, jump = on_all(law, len(gap)), rng.uniform(-3.0, 3.0, len(gap))
+    law, gap, jump, history, mechanical = electrified(kind, always, rng)
     pulling, idle = law.respond(gap, jump, history), law.respond(gap, jump, history, pulls=False)
-    mechanical = law.respond(gap, None, history)
     for name in ("charge", "electric_curvature", "electric"):
         np.testing.assert_array_equal(getattr(idle, name), getattr(pulling, name))
     for name in ("slope", "curvature", "mixed"):
@@ -104,11 +111,8 @@ def test_without_pulling_the_electric_contact_leaves_the_traction_alone(
 def test_an_inexact_tangent_leaves_out_what_the_electric_contact_adds_below_zero(
     kind: str, always: bool, rng: np.random.Generator
 ) -> None:
-    law = interface(kind, always, electric=True)
-    gap, history = samples(law, rng)
-    law, jump = on_all(law, len(gap)), rng.uniform(-3.0, 3.0, len(gap))
+    law, gap, jump, history, mechanical = electrified(kind, always, rng)
     exact, inexact = law.respond(gap, jump, history), law.respond(gap, jump, history, exact=False)
-    mechanical = law.respond(gap, None, history)
     np.testing.assert_array_equal(inexact.curvature, np.maximum(exact.curvature, mechanical.curvature))
     assert (exact.curvature < inexact.curvature).any()
     for name in ("slope", "charge", "mixed", "electric_curvature", "contact", "electric"):

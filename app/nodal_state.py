@@ -1,0 +1,27 @@
+"""The state of the nodes that contact is evaluated at, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NodalState:
+    """The state that contact is evaluated at: position (n, d) of the nodes, um, and their potential unknowns (n,).
+
+    These times `scale` are potentials, V; both are None where there are none. components: unknowns of a node. pulls:
+    whether the electric contact pulls on the surfaces; exact: whether the tangent is; for both see
+    `InterfaceLaw.respond`.
+    """
+
+    position: Array
+    potentials: Array | None
+    components: int
+    scale: float | None
+    pulls: bool
+    exact: bool
