@@ -52,8 +52,6 @@ class Contact:
         planes: Sequence[PlanePass],
         pairs: Pairs,
         potential_scale: float | None,
-        *,
-        loose: bool,
     ) -> None:
         self.comm = comm
         self.pairs = pairs
@@ -64,7 +62,6 @@ class Contact:
         self.dim = space.mesh.geometry.dim
         self.components = space.dofmap.index_map_bs
         self.potential_scale = potential_scale
-        self.loose = loose  # whether nothing but contact holds some of the bodies
         self.cuts = any(p.segments for p in self.passes)
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
@@ -138,13 +135,14 @@ class Contact:
         p.rows = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
         p.meetings = Meetings(boxed.clump, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near])
 
-    def settle(self, iteration: int, residual: float) -> None:
+    def settle(self, iteration: int, residual: float, *, loose: bool) -> None:
         """Prepare the tangent of a Newton iteration that starts at this relative residual.
 
-        Points keep their facets the longer, the more iterations a solve has taken.
+        loose: whether nothing but contact and weak springs holds some of the bodies. Points keep their facets the
+        longer, the more iterations a solve has taken.
         """
         self._keep = max(share for start, share in KEEP if iteration >= start)
-        self._exact = residual < (EXACT_LOOSE if self.loose else EXACT)
+        self._exact = residual < (EXACT_LOOSE if loose else EXACT)
 
     def release(self) -> bool:
         """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""

@@ -48,7 +48,7 @@ def contact_of(model: Model) -> Contact | None:
         passes, pairs = _of_scene(model)
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
-    return Contact(model.comm, model.space, x, passes, planes, pairs, scale, loose=model.loose)
+    return Contact(model.comm, model.space, x, passes, planes, pairs, scale)
 
 
 def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:

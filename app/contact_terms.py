@@ -11,10 +11,8 @@ from app.contact_pass import ContactPass
 from app.nodal_state import NodalState
 from app.planes import PlanePass
 from forms.contact.augmentation import respond
-from forms.contact.facets import FacetKind
 from forms.contact.integrals import contact_vectors
 from forms.contact.laws import Response
-from forms.contact.smoothing import to_corners
 
 Array = NDArray[np.float64]
 
@@ -73,41 +71,34 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: boo
         there[active] if p.jump is not None else None,
         tangent=tangent,
         turning=at.exact,
+        roundings=(p.slave.rounding[facet[active]], p.visible.rounding[partner[active]]),
     )
     d = at.position.shape[1]
     p.force = np.zeros((len(rows), d))
-    p.force[active] = -vectors[:, : len(kind.nodes), :d].sum(axis=1)
+    p.force[active] = -vectors[:, : vectors.shape[1] // 2, :d].sum(axis=1)
     facet, partner, masters = facet[active], partner[active], max(len(p.visible), 1)
     nodes = np.concatenate([p.slave_nodes[facet], p.master_nodes[partner]], axis=1)
-    terms, pairs = _sum_by_pair(facet * masters + partner, nodes, vectors, matrices)
-    own, other = np.divmod(pairs, masters)
-    return _on_corners(kind, terms, p.slave.rounding[own], p.visible.rounding[other])
+    return _sum_by_pair(facet * masters + partner, nodes, vectors, matrices)
 
 
 def terms_of_plane(p: PlanePass, at: NodalState, *, tangent: bool) -> ContactTerms:
     """The terms of a plane, which is evaluated for them."""
-    facet, nodes, vectors, matrices = p.evaluate(at, tangent=tangent)
+    terms = _sum_by_pair(*p.evaluate(at, tangent=tangent))
     # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.
-    nodes, vectors = np.concatenate([nodes, nodes], axis=1), np.pad(vectors, ((0, 0), (0, vectors.shape[1]), (0, 0)))
+    n, matrices = terms.nodes.shape[1], terms.matrices
     if matrices is not None:
         matrices = np.pad(matrices, ((0, 0), *((0, matrices.shape[1]),) * 2))
-    terms, facets = _sum_by_pair(facet, nodes, vectors, matrices)
-    offsets = p.slave.rounding[facets]
-    return _on_corners(p.slave.kind, terms, offsets, offsets)
+    nodes = np.concatenate([terms.nodes, terms.nodes], axis=1)
+    return ContactTerms(nodes, np.pad(terms.vectors, ((0, 0), (0, n), (0, 0))), matrices)
 
 
 def _sum_by_pair(
     pair: NDArray[np.int64], nodes: NDArray[np.int64], vectors: Array, matrices: Array | None
-) -> tuple[ContactTerms, NDArray[np.int64]]:
-    """Sums over the points of each facet pair, and the pairs: the matrix is scattered once a pair, not once a point."""
+) -> ContactTerms:
+    """Sums over the points of each facet pair: the matrix is scattered once a pair, not once a point."""
     if not len(pair):
-        return ContactTerms(nodes, vectors, matrices), pair
+        return ContactTerms(nodes, vectors, matrices)
     order = np.argsort(pair, kind="stable")
-    pairs, first = np.unique(pair[order], return_index=True)
+    first = np.unique(pair[order], return_index=True)[1]
     summed = None if matrices is None else np.add.reduceat(matrices[order], first)
-    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed), pairs
-
-
-def _on_corners(kind: FacetKind, terms: ContactTerms, slave: Array, master: Array) -> ContactTerms:
-    """Terms of pairs of facets, curved on their corners by `rounding`, in terms of these corners."""
-    return ContactTerms(terms.nodes, *to_corners(kind, terms.vectors, terms.matrices, (slave, master)))
+    return ContactTerms(nodes[order[first]], np.add.reduceat(vectors[order], first), summed)

@@ -18,7 +18,7 @@ from forms.contact.augmentation import Shift, respond
 from forms.contact.gap import point_normals
 from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
-from forms.contact.smoothing import rounded, spread
+from forms.contact.smoothing import rounded, spread, to_corners
 from meshes.pairing import FACING
 from meshes.surface import Surface
 
@@ -140,7 +140,7 @@ class PlanePass:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array | None]:
         """Facet (k,), nodes (k, n), vectors (k, n, c) and matrices (k, n * c, n * c) of the points that answer.
 
-        Of facets curved by `rounding` the nodes are the corners, the vectors and matrices those of all nodes.
+        Of facets curved by `rounding` the nodes are the corners.
         """
         rows, d = self.rows, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
@@ -171,12 +171,13 @@ class PlanePass:
         first[:, 0, :, :d] = shape[:, :, None] * self.normal
         if self.jump is not None:
             first[:, 1, :, d] = at.scale * shape
+        first = to_corners(kind, first, offsets[active])
         slopes = np.stack([r.slope, r.charge], axis=1)[active]
         vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
         if not tangent:
             return facet[active], nodes, vectors, None
         second = np.stack([r.curvature, r.mixed, r.mixed, r.electric_curvature], axis=1)[active].reshape(m, 2, 2)
-        flat = first.reshape(m, 2, n * at.components)
+        flat = first.reshape(m, 2, nodes.shape[1] * at.components)
         matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
         return facet[active], nodes, vectors, matrices
 

@@ -56,7 +56,7 @@ class Problem:
         with timer("assembly"):
             self._compile()
             self._springs = self._ground()
-            self._stronger = 1.0  # factor by which the springs are stronger for the time being
+            self.grounding = 1.0  # factor by which the springs are stronger for the time being
             self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
             self._assemble_bulk()
         self._matrix: TangentMatrix | None = None
@@ -77,6 +77,11 @@ class Problem:
     def floats(self) -> bool:
         """Whether springs hold a part, because its boundaries do not."""
         return self._springs is not None
+
+    @property
+    def loose(self) -> bool:
+        """Whether nothing but contact and weak springs holds some of the bodies."""
+        return self.model.loose and self.grounding == 1.0
 
     @property
     def symmetric(self) -> bool:
@@ -245,7 +250,7 @@ class Problem:
         if self._springs is None:
             return 0.0
         change = self.state - self.start
-        work = self._springs.array_r * change.array_r**2
+        work = self.grounding * self._springs.array_r * change.array_r**2
         return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
 
     def _compile(self) -> None:
@@ -279,9 +284,9 @@ class Problem:
 
     def set_grounding(self, factor: float) -> None:
         """Make the springs of floating parts `factor` times as strong as they finally are."""
-        if self.floats and factor != self._stronger:
-            self._add_springs(factor - self._stronger)
-            self._stronger = factor
+        if self.floats and factor != self.grounding:
+            self._add_springs(factor - self.grounding)
+            self.grounding = factor
             self._renew()
 
     def _add_springs(self, factor: float) -> None:
@@ -309,7 +314,7 @@ class Problem:
             dolfinx.fem.petsc.assemble_matrix(self._bulk, self._load_tangent)
         self._bulk.assemble()
         if self._springs is not None:
-            self._add_springs(self._stronger)
+            self._add_springs(self.grounding)
 
     def _update_bulk(self, x: PETSc.Vec) -> None:
         if not self.finite:
@@ -339,7 +344,7 @@ class Problem:
             held = self.start
         self.full.axpy(1.0, self.loads)
         if self._springs is not None:
-            self.full.axpy(-self._stronger, self._springs * held)
+            self.full.axpy(-self.grounding, self._springs * held)
 
     def _assemble_loads(self) -> None:
         self.loads.set(0.0)

@@ -23,6 +23,7 @@ from app.floating import left_alone, touching_bodies
 from app.history import Balance, columns, pair_columns, pair_table, row
 from app.linear import Direct, Multigrid
 from app.model import Model
+from app.outcome import SolveError
 from app.output import FieldOutput, contact_points
 from app.problem import Problem
 from app.progress import Progress
@@ -30,7 +31,7 @@ from app.results import Results
 from app.scene import Scene, SceneError, mesh_error
 from app.scene_errors import named
 from app.shares import described, shares
-from app.solver import Newton, SolveError
+from app.solver import Newton
 from app.stepping import Step, Stepper, StepReport, steps
 from app.timing import Timer
 from meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import logging
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
@@ -14,8 +13,10 @@ from petsc4py import PETSc
 
 from app import fenicsx
 from app.linear import linear_solver
+from app.outcome import NewtonReport, SolveError
 from app.problem import Problem
 from app.scene_sections import Solver
+from app.springs import Springs
 
 log = logging.getLogger("piezomat")
 
@@ -29,27 +30,10 @@ SHORTEST_STEP = 1e-3
 JUMP = 1e-2  # share of a step within which a line search leaves a jump of the slope
 PULLING = 1e-3  # of the forces: out of balance by less, floating bodies feel how the electric contact pulls
 REFINEMENTS = 5  # of a linear solve
-CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
-STRONGEST, FALL, LEAST_FALL = 1e7, 10.0, 1.3  # how strong they are at first; by what they weaken, at most, at least
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
-THROUGH = 0.5  # share of the least thickness by which a floating part may move beyond what is prescribed in a step
-UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they moved further than foreseen
 RECHECKS = 3  # how often one solve goes on because points had kept facets that they have left
 CUTS = 4  # how often one solve may cut segments anew where it has ended
-
-
-class SolveError(RuntimeError):
-    """A load level could not be solved; the message is the reason in words. Raised on all ranks."""
-
-
-@dataclass
-class NewtonReport:
-    """Newton iterations (the start value counts as one), Krylov iterations, and relative residuals per iteration."""
-
-    iterations: int = 0
-    krylov: int = 0
-    residuals: list[float] = field(default_factory=list)
 
 
 class Newton:
@@ -67,6 +51,7 @@ class Newton:
         self._reference = np.zeros(1 + problem.model.electric)
         self._repair = False
         self._linear_solve = ExitStack()
+        self._springs = Springs(problem, self._solve)
         prefix = next(PREFIXES)
         self.linear = linear_solver(problem, keys)
         options = {"snes_linesearch_type": "basic", **self.linear.options(), **keys.petsc}
@@ -101,55 +86,8 @@ class Newton:
         only contact can hold would throw it away before it is held: its springs are then made strong at first.
         """
         report = self._report = NewtonReport()
-        problem = self.problem
-        prescribed = problem.prescribed_motion()
-        try:
-            self._solve(margin, report)
-            if self._flew(prescribed):
-                raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
-            if problem.carried_by_grounding() <= CARRIED:
-                return report
-        except SolveError:
-            if not problem.floats or not problem.loaded:
-                raise
-        problem.start.copy(problem.state)
-        problem.pair(margin)
-        try:
-            self._let_down(margin, report)
-        finally:
-            problem.set_grounding(1.0)
-        if problem.carried_by_grounding() > CARRIED:
-            raise SolveError(UNHELD)
+        (self._springs.solve if self.problem.floats else self._solve)(margin, report)
         return report
-
-    def _let_down(self, margin: float, report: NewtonReport) -> None:
-        """Solve with strong springs of floating parts and ever weaker ones, so that no part leaps through another."""
-        problem = self.problem
-        here, last, factor, fall = problem.state.copy(), STRONGEST, STRONGEST, FALL
-        while True:
-            prescribed = problem.prescribed_motion()
-            problem.set_grounding(factor)
-            try:
-                self._solve(margin, report)
-                if self._flew(prescribed, here):
-                    raise SolveError(UNHELD)
-            except SolveError:
-                fall = fall**0.5
-                if fall < LEAST_FALL or factor == STRONGEST:
-                    raise
-                here.copy(problem.state)
-                problem.pair(margin)
-            else:
-                if factor == 1.0:
-                    return
-                problem.state.copy(here)
-                last, fall = factor, min(fall**2, FALL)
-            factor = max(last / fall, 1.0)
-
-    def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
-        """Whether a part may have flown through another: its springs are too weak to hold it or to tell."""
-        problem = self.problem
-        return problem.floats and problem.motion(since) > prescribed + THROUGH * problem.model.part_thickness.min()
 
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem
@@ -157,7 +95,7 @@ class Newton:
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.pulls = not (problem.model.loose and problem.model.electric)
-            problem.contact.settle(0, np.inf)
+            problem.contact.settle(0, np.inf, loose=problem.loose)
         self._predict(report, closely=problem.linear)
         if problem.linear:
             self._refine(report)
@@ -320,7 +258,7 @@ class Newton:
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
-            self.problem.contact.settle(snes.getIterationNumber(), self._report.residuals[-1])
+            self.problem.contact.settle(snes.getIterationNumber(), self._report.residuals[-1], loose=self.problem.loose)
         self._operators = self.linear.linearize(x)
         if self.linear.condensation is not None:
             self.linear.condensation.hold(x)

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from app.augmentation import augment
+from app.outcome import NewtonReport, SolveError
 from app.problem import Problem
 from app.scene_sections import Load
 from app.snap import snap_work
-from app.solver import Newton, NewtonReport, SolveError
+from app.solver import Newton
 
 log = logging.getLogger("piezomat")
 

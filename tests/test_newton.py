@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from app import solver
+from app.outcome import NewtonReport
 from app.scene import Scene
 from app.simulation import run
 
@@ -36,7 +37,7 @@ def solves(monkeypatch: pytest.MonkeyPatch) -> list[list[float]]:
     found: list[list[float]] = []
     solve = solver.Newton.solve
 
-    def recorded(newton: solver.Newton, margin: float) -> solver.NewtonReport:
+    def recorded(newton: solver.Newton, margin: float) -> NewtonReport:
         report = solve(newton, margin)
         found.append(report.residuals)
         return report

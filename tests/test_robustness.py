@@ -11,9 +11,9 @@ import pytest
 from mpi4py import MPI
 
 from app import contact, solver
+from app.outcome import SolveError
 from app.scene import Scene, SceneError
 from app.simulation import NotConverged, run
-from app.solver import SolveError
 from app.stepping import Step, Stepper, StepReport
 from app.timing import peak_memory_mb
 from scripts.mats import COARSE, STEPS, mat, value
@@ -242,8 +242,8 @@ def test_a_point_that_has_left_its_facet_is_looked_up_again(monkeypatch: pytest.
     pair, settle = contact.Contact.pair, contact.Contact.settle
 
     def lenient(method: Any) -> Any:
-        def changed(self: contact.Contact, *given: Any) -> None:
-            method(self, *given)
+        def changed(self: contact.Contact, *given: Any, **named: Any) -> None:
+            method(self, *given, **named)
             self._keep = 5.0
 
         return changed

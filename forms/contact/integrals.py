@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from forms.contact.facets import FacetKind
 from forms.contact.gap import Projection, variations
 from forms.contact.laws import Response
+from forms.contact.smoothing import to_corners
 
 Array = NDArray[np.float64]
 
@@ -83,19 +84,26 @@ def contact_vectors(
     *,
     tangent: bool,
     turning: bool = True,
+    roundings: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array | None]:
     """Residual vectors (m, n_pair, c) and, if asked for, tangents (m, n_pair * c, n_pair * c) of contact points.
 
     The derivative of weight * enthalpy with respect to the pair's unknowns, slave nodes first. `response` is in terms
     of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values. Not `turning`, the
-    tangent leaves out that tractions turn with the facets.
+    tangent leaves out that tractions turn with the facets. With the `roundings` (m, k, d) of slave and master facet the
+    pair's nodes are their corners alone.
     """
     v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
     first = response.slope[:, None] * v.gap
     if v.jump is not None:
         first = first + response.charge[:, None] * v.jump
-    m, r, nodes, _ = v.rows.shape
-    rows = v.rows.reshape(m, r, nodes * components)
+    rows = v.rows
+    if roundings is not None:
+        n = len(kind.nodes)
+        sides = zip((rows[:, :, :n], rows[:, :, n:]), roundings, strict=True)
+        rows = np.concatenate([to_corners(kind, side, offsets) for side, offsets in sides], axis=2)
+    m, r, nodes, _ = rows.shape
+    rows = rows.reshape(m, r, nodes * components)
     vectors = np.einsum("m,mr,mrn->mn", weight, first, rows).reshape(m, nodes, components)
     if not tangent:
         return vectors, None

@@ -92,38 +92,23 @@ def spread(kind: FacetKind, values: Array, offsets: Array) -> Array:
     return np.concatenate([values, values @ _spread(kind).T], axis=1)
 
 
-def to_corners(
-    kind: FacetKind, vectors: Array, matrices: Array | None, offsets: tuple[Array, Array]
-) -> tuple[Array, Array | None]:
-    """Vectors (m, 2 (n + k), c) and matrices of pairs of facets in terms of their corners: T^t f and T^t K T.
+def to_corners(kind: FacetKind, rows: Array, offsets: Array) -> Array:
+    """Vectors (m, r, n + k, c) over the nodes of facets, offsets (m, k, d), as ones (m, r, n, c) over their corners.
 
-    offsets: those (m, k, d) of the slave and of the master facet.
+    What they say of a motion of all nodes they then say of the motion of the corners that causes it.
     """
-    if not offsets[0].shape[1]:
-        return vectors, matrices
-    m, nodes, components = vectors.shape
-    size = nodes // 2 * components
-    few = len(corner_kind(kind).nodes) * components
-    maps = np.stack([_map(kind, each, components).reshape(m, size, few) for each in offsets], axis=1)
-    vectors = np.einsum("mpa,mpab->mpb", vectors.reshape(m, 2, size), maps)
-    if matrices is not None:
-        blocks = np.swapaxes(matrices.reshape(m, 2, size, 2, size), 2, 3)
-        blocks = np.swapaxes(maps, 2, 3)[:, :, None] @ blocks @ maps[:, None]
-        matrices = np.swapaxes(blocks, 2, 3).reshape(m, 2 * few, 2 * few)
-    return vectors.reshape(m, 2 * few // components, components), matrices
-
-
-def _map(kind: FacetKind, offsets: Array, components: int) -> Array:
-    """What all nodes do if the corners move, (m, n + k, c, n, c)."""
+    if not offsets.shape[1]:
+        return rows
     share = _spread(kind)
     corners = share.shape[1]
-    each = np.concatenate([np.eye(corners), share])[:, None, :, None] * np.eye(components)[None, :, None, :]
-    result = np.tile(each, (len(offsets), 1, 1, 1, 1))
+    added = rows[:, :, corners:]
+    result = rows[:, :, :corners] + np.einsum("kn,mrkc->mrnc", share, added)
     if kind.dim == 1:
-        a, b = offsets[:, 0].T
-        change = np.stack([np.stack([a, -b], axis=1), np.stack([b, a], axis=1)], axis=1)
-        result[:, corners, :2, 1, :2] += change
-        result[:, corners, :2, 0, :2] -= change
+        along, across = offsets[:, 0].T[:, :, None]
+        x, y = added[:, :, 0, 0], added[:, :, 0, 1]
+        change = np.stack([along * x + across * y, along * y - across * x], axis=2)
+        result[:, :, 1, :2] += change
+        result[:, :, 0, :2] -= change
     return result
 
 
