@@ -9,6 +9,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from app import boxes
 from app.condensation import Condensation
 from app.model import Model, rigid_modes
 from app.problem import Problem
@@ -145,6 +146,8 @@ class Multigrid:
         self.problem = problem
         self._operator = _Operator(problem)
         self._rigid = _near_nullspace(problem.model, problem.comm)
+        self._boxes = problem.model.loose
+        self._interpolation: PETSc.Mat | None = None
         self._matrix: PETSc.Mat | None = None
         self._rate = 0.0  # Krylov iterations a digit in the first solve with the present preconditioner
         self.close_tolerance = min(1e-8, 0.1 * keys.tolerance) if problem.linear else POLISH_TOLERANCE
@@ -183,6 +186,7 @@ class Multigrid:
         u.setBlockSize(d)
         u.compose("nearnullspace", self._rigid)
         phi = PETSc.IS().createGeneral((nodes * block + d).astype(PETSc.IntType), comm=self.problem.comm)
+        self._displacements = u
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.FIELDSPLIT)
         pc.setFieldSplitIS(("u", u), ("phi", phi))
@@ -194,8 +198,30 @@ class Multigrid:
             self._matrix, fresh = self.problem.tangent()
             if fresh and not self.problem.model.electric:
                 self._matrix.setNearNullSpace(self._rigid)
+            if self._boxes and fresh:
+                self._interpolate()
             self._rate = 0.0
         return self._operator.matrix, self._matrix
+
+    def _interpolate(self) -> None:
+        """Give the displacements' multigrid its interpolation, unless the scene has chosen another multigrid."""
+        model, ksp = self.problem.model, self._ksp
+        if model.electric:
+            ksp.setOperators(self._operator.matrix, self._matrix)
+            ksp.setUp()
+            ksp = ksp.getPC().getFieldSplitSubKSP()[0]
+        pc, operators = ksp.getPC(), ksp.getOperators()
+        if pc.getType() != PETSc.PC.Type.MG:
+            return
+        if self._interpolation is None:
+            stiffness = self.problem.without_contact()
+            stiffness.zeroRowsColumns(model.fixed_global, diag=1.0)
+            if model.electric:
+                stiffness = stiffness.createSubMatrix(self._displacements, self._displacements)
+            self._interpolation = boxes.interpolation(model, stiffness)
+        pc.reset()  # or PETSc would write the coarse matrix into the pattern of the last one
+        ksp.setOperators(*operators)
+        pc.setMGInterpolation(1, self._interpolation)
 
     def _has_aged(self) -> bool:
         """Whether the last solve took many more iterations a digit than the first with this preconditioner."""
@@ -207,17 +233,15 @@ class Multigrid:
     def _multigrid(self) -> dict[str, Any]:
         """Smoothed aggregation for each field; that of the displacements knows rigid bodies."""
         # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
-        # A threshold of 0.1 takes half the iterations of 0.02 on pressed mats, more than 0.1 makes coarse grids large;
-        # where bodies are held, a fifth is saved, and setting up takes three times as long.
-        threshold = 0.1 if self.problem.model.loose else 0.02
-        amg: dict[str, Any] = {"pc_type": "gamg", "pc_gamg_threshold": threshold}
+        amg: dict[str, Any] = {"pc_type": "gamg", "pc_gamg_threshold": 0.02}
         amg |= {"mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
+        of_displacements = boxes.options(symmetric=self.problem.symmetric) if self._boxes else amg
         if not self.problem.model.electric:
-            return amg
+            return of_displacements
         split: dict[str, Any] = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
-        for part in ("u", "phi"):
+        for part, multigrid in (("u", of_displacements), ("phi", amg)):
             split |= {f"fieldsplit_{part}_ksp_type": "preonly"}
-            split |= {f"fieldsplit_{part}_{name}": value for name, value in amg.items()}
+            split |= {f"fieldsplit_{part}_{name}": value for name, value in multigrid.items()}
         return split
 
 

@@ -297,6 +297,7 @@ class Model:
         cells = self.coordinates[nodes]
         volume = fenicsx.cell_volumes(self.mesh)[:, None]
         total = self._sum_by_part(part, volume)
+        self.volume = float(total.sum())
         middle = self._sum_by_part(part, volume * cells.mean(axis=1)) / total
         # Nodes rather than centres, so that a part of one cell has an extent too.
         local = cells - middle[part][:, None]

@@ -67,6 +67,6 @@ def test_springs_that_would_bear_a_part_of_the_load_are_no_solution(
 ) -> None:
     monkeypatch.setattr(springs, "STRONGER", 1e6)
     scene: dict[str, Any] = block().model_dump(exclude_unset=True) | {"solver": {"max_cutbacks": 1}}
-    with pytest.raises(NotConverged, match="too much of the energy|to and fro"):
+    with pytest.raises(NotConverged, match=r"too much of the energy|to and fro"):
         run(Scene(**scene), MPI.COMM_SELF)
     assert set(weak) == {1.0, 1e6}
