@@ -134,7 +134,8 @@ class Multigrid:
     """FGMRES with algebraic multigrid, made for one tangent and kept as long as it serves for the next ones.
 
     Newton's method asks for no more digits than it can use (Eisenstat and Walker 1996), unless the scene says how many.
-    Bodies that contact alone holds hang on few points that come and go: for them it is made for each tangent.
+    Bodies that contact alone holds hang on few points that come and go: for them it is made for each tangent, and that
+    of the displacements has the coarse space of `boxes`.
     """
 
     failure = ""
@@ -194,33 +195,38 @@ class Multigrid:
     def linearize(self, x: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Take up the tangent at x: the operator, and what its preconditioner is made from."""
         self.problem.linearize(x)
-        if self._matrix is None or self.problem.model.loose or self._has_aged():
+        if self._matrix is None or self._boxes or self._has_aged():
             self._matrix, fresh = self.problem.tangent()
             if fresh and not self.problem.model.electric:
                 self._matrix.setNearNullSpace(self._rigid)
             if self._boxes and fresh:
                 self._interpolate()
             self._rate = 0.0
-        return self._operator.matrix, self._matrix
+        return self._matrix if self._boxes else self._operator.matrix, self._matrix
 
     def _interpolate(self) -> None:
         """Give the displacements' multigrid its interpolation, unless the scene has chosen another multigrid."""
         model, ksp = self.problem.model, self._ksp
         if model.electric:
-            ksp.setOperators(self._operator.matrix, self._matrix)
+            ksp.setOperators(self._matrix)
             ksp.setUp()
             ksp = ksp.getPC().getFieldSplitSubKSP()[0]
-        pc, operators = ksp.getPC(), ksp.getOperators()
+        pc = ksp.getPC()
         if pc.getType() != PETSc.PC.Type.MG:
             return
         if self._interpolation is None:
             stiffness = self.problem.without_contact()
             stiffness.zeroRowsColumns(model.fixed_global, diag=1.0)
             if model.electric:
-                stiffness = stiffness.createSubMatrix(self._displacements, self._displacements)
+                whole, stiffness = stiffness, stiffness.createSubMatrix(self._displacements, self._displacements)
+                whole.destroy()
             self._interpolation = boxes.interpolation(model, stiffness)
+            stiffness.destroy()
+        operators = ksp.getOperators()
         pc.reset()  # or PETSc would write the coarse matrix into the pattern of the last one
         ksp.setOperators(*operators)
+        for matrix in operators:
+            matrix.destroy()  # this reference to it, which would live until garbage is collected
         pc.setMGInterpolation(1, self._interpolation)
 
     def _has_aged(self) -> bool:

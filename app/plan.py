@@ -148,9 +148,9 @@ def _solution(model: Model, contact: Contact | None) -> str:
 def _linear_solver(model: Model) -> str:
     keys = model.scene.solver
     direct = is_direct(model)
-    name = "direct (MUMPS)" if direct else "FGMRES, displacement and potential split, algebraic multigrid on each"
-    if not direct and not model.electric:
-        name = "FGMRES with algebraic multigrid that knows rigid bodies"
+    multigrid = "two-level multigrid over boxes of each body" if model.loose else "algebraic multigrid"
+    split = ", displacement and potential split, for the displacements" if model.electric else " with"
+    name = "direct (MUMPS)" if direct else f"FGMRES{split} {multigrid}"
     if keys.kind != "auto":
         return f"{name}, as the scene asks"
     if model.dim == 2:
