@@ -35,7 +35,8 @@ class TangentMatrix:
         self._bulk_keys = rows * self._total + columns[first_rows[::block]].astype(np.int64) // block
         self.forget_pattern()
         self._find_rows()
-        self._bulk_order = self._places(self._bulk_keys)  # of the bulk's values: row by row there, block by block here
+        # Of the bulk's values: row by row there, block by block here.
+        self._bulk_order = self._places(self._bulk_keys).astype(np.int32)
         self.matrix: PETSc.Mat | None = None
         self.set_bulk(bulk)
 
@@ -110,26 +111,26 @@ class TangentMatrix:
         if self._pattern_is_new or self._bulk_is_new:
             self._base = np.zeros(len(self._columns))
             self._base[self._places(self._bulk_keys)] = self._bulk_blocks
-        places = self._places(keys)
-        rows = np.unique(np.concatenate([self._touched, keys // self._total]))
-        scalar_rows = (rows[:, None] * b + np.arange(b)).ravel()
-        lengths = np.diff(self._pointer)[scalar_rows]
-        spans = _ranges(self._pointer[scalar_rows], lengths)
-        data = self._base.copy()
-        np.add.at(data, places.ravel(), blocks.ravel())
         if self._pattern_is_new:
             if self.matrix is not None:
                 self.matrix.destroy()  # for Python: who solves with it holds it as long as it needs it
             self.matrix = PETSc.Mat().createAIJ(
-                self._sizes, bsize=b, csr=(self._pointer, self._columns, data), comm=self.comm
+                self._sizes, bsize=b, csr=(self._pointer, self._columns, self._base), comm=self.comm
             )
             self.rebuilds += 1
         elif self._bulk_is_new:
-            self.matrix.setValuesCSR(self._pointer, self._columns, data)
-        else:
-            pointer = np.concatenate([[0], np.cumsum(lengths)]).astype(PETSc.IntType)
-            rowmap = (scalar_rows + self._first * b).astype(PETSc.IntType)
-            self.matrix.setValuesIJV(pointer, self._columns[spans], data[spans], rowmap=rowmap)
+            self.matrix.setValuesCSR(self._pointer, self._columns, self._base)
+        rows = np.unique(np.concatenate([self._touched, keys // self._total]))
+        scalar_rows = (rows[:, None] * b + np.arange(b)).ravel()
+        lengths = np.diff(self._pointer)[scalar_rows]
+        spans = _ranges(self._pointer[scalar_rows], lengths)
+        places = self._places(keys).ravel()
+        bulk = self._base[places]
+        self._base[places] += blocks.ravel()
+        pointer = np.concatenate([[0], np.cumsum(lengths)]).astype(PETSc.IntType)
+        rowmap = (scalar_rows + self._first * b).astype(PETSc.IntType)
+        self.matrix.setValuesIJV(pointer, self._columns[spans], self._base[spans], rowmap=rowmap)
+        self._base[places] = bulk
         self.matrix.assemble()
         self._bulk_is_new = False
         self._touched = np.unique(keys // self._total)

@@ -77,6 +77,8 @@ class Newton:
             options.delValue(name)
         # SNES holds methods of this solver: with newer PETSc Python cannot find that the two hold only each other.
         self.snes.getDict().clear()
+        for matrix in self._past_operators:
+            matrix.destroy()
         self.linear.close()
         self.snes.destroy()
 
