@@ -27,15 +27,11 @@ DEPENDENT = 1e-6  # a motion is left out of which the others leave less than thi
 
 
 def options(*, symmetric: bool) -> dict[str, Any]:
-    """PETSc options of a multigrid whose interpolation is still to be set."""
+    """PETSc options of a multigrid whose interpolation is still to be set, and its smoother to be chosen."""
     factorization = "cholesky" if symmetric else "lu"
     coarse = {"ksp_type": "preonly", "pc_type": factorization, "pc_factor_mat_solver_type": "mumps"}
-    levels = {"ksp_type": "chebyshev", "ksp_max_it": 3, "pc_type": "jacobi"}
-    return (
-        {"pc_type": "mg", "pc_mg_levels": 2, "pc_mg_galerkin": "both"}
-        | {f"mg_coarse_{name}": value for name, value in coarse.items()}
-        | {f"mg_levels_{name}": value for name, value in levels.items()}
-    )
+    multigrid = {"pc_type": "mg", "pc_mg_levels": 2, "pc_mg_galerkin": "both", "mg_levels_ksp_type": "chebyshev"}
+    return multigrid | {f"mg_coarse_{name}": value for name, value in coarse.items()}
 
 
 def interpolation(model: Model, stiffness: PETSc.Mat) -> PETSc.Mat:
@@ -60,7 +56,7 @@ def _boxes(model: Model) -> list[NDArray[np.int64]]:
     edge = (NODES * model.volume * model.block / model.unknowns) ** (1.0 / model.dim)
     keys = np.column_stack([part, np.floor(x / edge).astype(np.int64)])
     _, box, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    return np.split(np.argsort(box.ravel(), kind="stable"), np.cumsum(count)[:-1])
+    return np.split(np.argsort(box.ravel(), kind="stable"), np.cumsum(count))[:-1]
 
 
 def _motions(model: Model) -> PETSc.Mat:

@@ -78,9 +78,7 @@ class Condensation:
             self._factor.destroy()
         problem, b = self.problem, self.block
         self.candidates = candidates
-        bulk = problem.without_contact()
-        bulk.zeroRowsColumns(problem.model.fixed_global, diag=1.0)
-        (matrix,) = bulk.createSubMatrices([self._here], [self._here])
+        (matrix,) = problem.without_contact().createSubMatrices([self._here], [self._here])
         self._places, self._factor, reduced = np.zeros(0, np.int64), None, np.zeros((0, 0))
         if len(self._nodes):
             self._places = _unknowns(np.flatnonzero(np.isin(self._nodes, candidates)), b).astype(np.int64)

@@ -18,8 +18,8 @@ from app.scene_sections import Solver
 # Largest three-dimensional model that is factorized. Multigrid costs less from 6,000 unknowns (two crossed fibers, five
 # steps, linear solves: 0.5 s against 0.7; 3.6 s against 6 at 18,000; 18 s against 51 at 77,000); factors are exact.
 DIRECT_LIMIT_3D = 10_000
-# The same where bodies are loose, held by contact alone: multigrid may need hundreds of iterations for them, and where
-# fibers are slender factors cost little (a mat of 88,000 unknowns: 0.5 s a solve against 1 to 9 s).
+# The same where bodies are loose, held by contact alone: where fibers are slender factors cost little (a mat of 88,000
+# unknowns: 0.5 s a solve).
 LOOSE_LIMIT_3D = 100_000
 # Most unknowns of the contact's candidates, whose dense matrix is factorized in each iteration: more in large models.
 CONDENSED_LIMIT, CONDENSED_SHARE, CONDENSED_ALWAYS = 5_000, 0.2, 500
@@ -147,15 +147,15 @@ class Multigrid:
         self.problem = problem
         self._operator = _Operator(problem)
         self._rigid = _near_nullspace(problem.model, problem.comm)
-        self._boxes = problem.model.loose
+        self._loose = problem.model.loose
         self._interpolation: PETSc.Mat | None = None
         self._matrix: PETSc.Mat | None = None
         self._rate = 0.0  # Krylov iterations a digit in the first solve with the present preconditioner
         self.close_tolerance = min(1e-8, 0.1 * keys.tolerance) if problem.linear else POLISH_TOLERANCE
-        self._inexact = "ksp_rtol" not in keys.petsc and not problem.model.loose
+        self._inexact = "ksp_rtol" not in keys.petsc and not self._loose
         if "ksp_rtol" in keys.petsc:
             self.start_tolerance = self.close_tolerance = None
-        elif problem.model.loose:
+        elif self._loose:
             self.start_tolerance = LOOSE_TOLERANCE
 
     def close(self) -> None:
@@ -195,14 +195,14 @@ class Multigrid:
     def linearize(self, x: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Take up the tangent at x: the operator, and what its preconditioner is made from."""
         self.problem.linearize(x)
-        if self._matrix is None or self._boxes or self._has_aged():
+        if self._matrix is None or self._loose or self._has_aged():
             self._matrix, fresh = self.problem.tangent()
             if fresh and not self.problem.model.electric:
                 self._matrix.setNearNullSpace(self._rigid)
-            if self._boxes and fresh:
+            if self._loose and fresh:
                 self._interpolate()
             self._rate = 0.0
-        return self._matrix if self._boxes else self._operator.matrix, self._matrix
+        return self._matrix if self._loose else self._operator.matrix, self._matrix
 
     def _interpolate(self) -> None:
         """Give the displacements' multigrid its interpolation, unless the scene has chosen another multigrid."""
@@ -216,7 +216,6 @@ class Multigrid:
             return
         if self._interpolation is None:
             stiffness = self.problem.without_contact()
-            stiffness.zeroRowsColumns(model.fixed_global, diag=1.0)
             if model.electric:
                 whole, stiffness = stiffness, stiffness.createSubMatrix(self._displacements, self._displacements)
                 whole.destroy()
@@ -237,11 +236,11 @@ class Multigrid:
         return rate > AGED * self._rate
 
     def _multigrid(self) -> dict[str, Any]:
-        """Smoothed aggregation for each field; that of the displacements knows rigid bodies."""
+        """Smoothed aggregation for each field; that of the displacements knows rigid bodies, or boxes of loose ones."""
         # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
-        amg: dict[str, Any] = {"pc_type": "gamg", "pc_gamg_threshold": 0.02}
-        amg |= {"mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
-        of_displacements = boxes.options(symmetric=self.problem.symmetric) if self._boxes else amg
+        smoother = {"mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
+        amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02} | smoother
+        of_displacements = boxes.options(symmetric=self.problem.symmetric) | smoother if self._loose else amg
         if not self.problem.model.electric:
             return of_displacements
         split: dict[str, Any] = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}

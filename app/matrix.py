@@ -36,7 +36,7 @@ class TangentMatrix:
         self.forget_pattern()
         self._find_rows()
         # Of the bulk's values: row by row there, block by block here.
-        self._bulk_order = self._places(self._bulk_keys).astype(np.int32)
+        self._bulk_order = self._places(self._bulk_keys).astype(PETSc.IntType)
         self.matrix: PETSc.Mat | None = None
         self.set_bulk(bulk)
 

@@ -148,15 +148,23 @@ def _solution(model: Model, contact: Contact | None) -> str:
 def _linear_solver(model: Model) -> str:
     keys = model.scene.solver
     direct = is_direct(model)
-    multigrid = "two-level multigrid over boxes of each body" if model.loose else "algebraic multigrid"
-    split = ", displacement and potential split, for the displacements" if model.electric else " with"
-    name = "direct (MUMPS)" if direct else f"FGMRES{split} {multigrid}"
+    name = "direct (MUMPS)" if direct else f"FGMRES{_multigrid(model)}"
     if keys.kind != "auto":
         return f"{name}, as the scene asks"
     if model.dim == 2:
         return f"{name}, since the model is two-dimensional"
     relation = "at most" if direct else "more than"
     return f"{name}, since the model has {relation} {direct_limit_3d(model)} unknowns in three dimensions"
+
+
+def _multigrid(model: Model) -> str:
+    split = ", displacement and potential split, "
+    if model.loose:
+        boxes = "two-level multigrid over boxes of each body"
+        return f"{split}{boxes} and algebraic multigrid" if model.electric else f" with {boxes}"
+    return (
+        f"{split}algebraic multigrid on each" if model.electric else " with algebraic multigrid that knows rigid bodies"
+    )
 
 
 def _memory_mb(model: Model) -> float:

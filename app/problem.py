@@ -56,7 +56,7 @@ class Problem:
         with timer("assembly"):
             self._compile()
             self._springs = self._ground()
-            self.grounding = 1.0  # factor by which the springs are stronger for the time being
+            self.grounding = 1.0  # factor by which the springs are stronger, see `Springs`
             self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
             self._assemble_bulk()
         self._matrix: TangentMatrix | None = None
@@ -166,8 +166,10 @@ class Problem:
         return self.contact.global_nodes(self._terms), self._terms.matrices
 
     def without_contact(self) -> PETSc.Mat:
-        """A copy of the tangent's bulk and grounding, nothing eliminated from it."""
-        return self._bulk.copy()
+        """A copy of the tangent's bulk and grounding, the fixed unknowns eliminated."""
+        bulk = self._bulk.copy()
+        bulk.zeroRowsColumns(self.model.fixed_global, diag=1.0)
+        return bulk
 
     def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent of the last `linearize` times a change of the state, nothing eliminated from it."""
@@ -283,7 +285,7 @@ class Problem:
         return springs
 
     def set_grounding(self, factor: float) -> None:
-        """Make the springs of floating parts `factor` times as strong as they finally are."""
+        """Make the springs of floating parts `factor` times as strong as they are at first."""
         if self.floats and factor != self.grounding:
             self._add_springs(factor - self.grounding)
             self.grounding = factor

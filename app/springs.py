@@ -59,10 +59,10 @@ class Springs:
         self._equilibrium(margin, report)
         if self._flew(prescribed):
             raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
-        if problem.grounding == STRONGER and problem.grounding_work() > WORK * sum(
-            problem.energies(problem.state).values()
-        ):
-            raise SolveError("the springs that hold loose bodies take too much of the energy")
+        if problem.grounding == STRONGER:
+            stored = sum(problem.energies(problem.state).values())
+            if problem.grounding_work() > WORK * stored:
+                raise SolveError("the springs that hold loose bodies take too much of the energy")
 
     def _let_down(self, margin: float, report: NewtonReport) -> None:
         """Solve with strong springs of floating parts and ever weaker ones, so that no part leaps through another."""

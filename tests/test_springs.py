@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from mpi4py import MPI
 
-from app import solver, springs
+from app import problem, solver, springs
 from app.outcome import NewtonReport, SolveError
 from app.scene import Scene
 from app.simulation import NotConverged, run
@@ -56,7 +56,7 @@ def test_what_weak_springs_do_not_hold_stronger_ones_do_from_then_on(weak: list[
 @pytest.mark.mpi
 def test_stronger_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = run(block(), comm).history
-    monkeypatch.setattr("app.problem.GROUNDING", springs.STRONGER * 1e-8)
+    monkeypatch.setattr(problem, "GROUNDING", springs.STRONGER * problem.GROUNDING)
     for held, row in zip(run(block(), comm).history, weak, strict=True):
         assert held["force_y@lid"] == pytest.approx(row["force_y@lid"], rel=1e-5)
         assert 50 * row["stabilization"] < held["stabilization"] < springs.WORK * held["elastic"]

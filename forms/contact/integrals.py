@@ -98,7 +98,7 @@ def contact_vectors(
     if v.jump is not None:
         first = first + response.charge[:, None] * v.jump
     rows = v.rows
-    if roundings is not None:
+    if roundings is not None and roundings[0].shape[1]:
         n = len(kind.nodes)
         sides = zip((rows[:, :, :n], rows[:, :, n:]), roundings, strict=True)
         rows = np.concatenate([to_corners(kind, side, offsets) for side, offsets in sides], axis=2)
