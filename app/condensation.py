@@ -20,12 +20,16 @@ from petsc4py import PETSc
 
 from app import reductions
 from app.exchange import Exchange
+from app.memory import give_back_memory
 from app.problem import Problem
-from app.schur import SchurFactor
+from app.schur import SchurFactors
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# How far apart surfaces are that may come to touch, over the largest motion that is prescribed: half of it for equal
+# bodies (Hertz), and more where they give.
+AHEAD = 0.75
 INTERIOR = 1e-10  # a residual inside, this small against all of it, is rounding
 
 
@@ -37,18 +41,16 @@ class Condensation:
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.block
         self.candidates = np.zeros(0, np.int64)
-        # Surfaces of equal bodies that come nearer by d touch where they were less than d/2 apart (Hertz), and a little
-        # beyond where they give.
-        self._ahead = problem.contact.ahead = 0.6 * (problem.model.largest_motion() or problem.contact.least_margin())
+        self._ahead = problem.contact.ahead = AHEAD * (problem.model.largest_motion() or problem.contact.least_margin())
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._base: PETSc.Vec | None = None
         self._of = -1
-        self._factor: SchurFactor | None = None
-        self._parts()
+        self._factors = SchurFactors()
+        self._parts = self._divide()
+        self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
         unknowns = _unknowns(self._nodes, self.block)
         self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
-        self._here = PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF)
-        self._exchange = Exchange(problem.state, self._here)  # of the parts that are this rank's
+        self._exchange = Exchange(problem.state, PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF))
 
     def update(self, limit: float) -> bool:
         """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns.
@@ -74,22 +76,29 @@ class Condensation:
     def _condense(self, candidates: Integers) -> None:
         """Factorize the bulk and condense it to these global nodes, sorted and the same on all ranks."""
         self._of = self.problem.renewals
-        if self._factor is not None:
-            self._factor.destroy()
+        self._factors.destroy()
         problem, b = self.problem, self.block
         self.candidates = candidates
-        (matrix,) = problem.without_contact().createSubMatrices([self._here], [self._here])
-        self._places, self._factor, reduced = np.zeros(0, np.int64), None, np.zeros((0, 0))
-        if len(self._nodes):
-            self._places = _unknowns(np.flatnonzero(np.isin(self._nodes, candidates)), b).astype(np.int64)
+        sets = [PETSc.IS().createGeneral(_unknowns(part, b), comm=MPI.COMM_SELF) for part in self._parts]
+        bulk = problem.without_contact()
+        matrices = bulk.createSubMatrices(sets, sets)
+        bulk.destroy()
+        give_back_memory()
+        shifts = [np.zeros(0)]
+        self._factors = SchurFactors()
+        for part, matrix in zip(self._parts, matrices, strict=True):
+            outer = _unknowns(np.flatnonzero(np.isin(part, candidates)), b)
             # Parts that only contact holds leave K singular: springs of the bulk's own stiffness are added at the
             # candidates, and taken away from S. The potential's block is negative.
             diagonal = matrix.getDiagonal()
-            self._shift = diagonal.array_r[self._places].copy()
-            diagonal.array[self._places] += self._shift
+            shifts.append(diagonal.array_r[outer].copy())
+            diagonal.array[outer] += shifts[-1]
             matrix.setDiagonal(diagonal)
-            self._factor = SchurFactor(matrix, self._places.astype(np.int32))
-            reduced = self._factor.complement - np.diag(self._shift)
+            self._factors.add(matrix, outer)
+        give_back_memory()
+        self._shift = np.concatenate(shifts)
+        self._places = _unknowns(np.flatnonzero(np.isin(self._nodes, candidates)), b).astype(np.int64)
+        reduced = self._factors.complement() - np.diag(self._shift)
         unknowns = _unknowns(candidates, b)
         self._own = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._places])
         gathered = self.comm.gather((self._own, reduced, ~self._fixed[self._places]))
@@ -118,7 +127,8 @@ class Condensation:
         for where, what in gathered:
             free = self._free[where // n] & self._free[where % n]
             tangent.reshape(-1)[where[free]] += what[free]
-        self._lu = scipy.linalg.lu_factor(tangent, overwrite_a=True, check_finite=False)
+        # Symmetric as it is, its transpose lies in memory as LAPACK wants it.
+        self._lu = scipy.linalg.lu_factor(tangent.T, overwrite_a=True, check_finite=False)
 
     def hold(self, x: PETSc.Vec) -> None:
         """If the inside is in equilibrium at x, leave it there: from here on states are told by the candidates."""
@@ -137,8 +147,7 @@ class Condensation:
         self._base_residual.copy(result)
         change = (self._exchange.take(x) - self._base)[self._places]
         added = np.zeros_like(self._base)
-        if self._factor is not None:
-            added[self._places] = self._factor.complement @ change - self._shift * change
+        added[self._places] = self._factors.reduced(change) - self._shift * change
         self._exchange.add(added, result)
 
     def complete(self, x: PETSc.Vec) -> bool:
@@ -146,10 +155,9 @@ class Condensation:
         if self._base is None:
             return False
         change = self._exchange.take(x) - self._base
-        if self._factor is not None:
-            change[self._places] = self._factor.complement @ change[self._places]
-            change = self._factor.solve(change)
-            change[self._places] = 0.0
+        change[self._places] = self._factors.reduced(change[self._places])
+        change = self._factors.solve(change)
+        change[self._places] = 0.0
         self._exchange.add(change, x)
         self._base = self.problem.condensed = None
         spread, self.outgrown = self.outgrown, False
@@ -168,8 +176,8 @@ class Condensation:
         outer = r[self._places]
         condensed = outer
         balanced = self._base is not None or self._balanced(r, np.abs(r).max(initial=0.0))
-        if not balanced and self._factor is not None:
-            condensed = self._factor.complement @ self._factor.solve(r)[self._places]
+        if not balanced:
+            condensed = self._factors.reduced(self._factors.solve(r)[self._places])
         gathered = self.comm.gather((self._own, condensed))
         whole = None
         if gathered is not None:
@@ -182,14 +190,14 @@ class Condensation:
         if self._base is not None:
             r[:] = 0.0
             r[self._places] = change
-        elif self._factor is not None:
-            r[self._places] = self._factor.complement @ change + outer - condensed
-            r = self._factor.solve(r)
+        else:
+            r[self._places] = self._factors.reduced(change) + outer - condensed
+            r = self._factors.solve(r)
         result.set(0.0)
         self._exchange.add(r, result)
 
-    def _parts(self) -> None:
-        """Give whole parts to ranks, the largest first to the one with the least; their nodes, sorted."""
+    def _divide(self) -> list[Integers]:
+        """Whole parts for each rank, the largest first to the one with the least; the nodes of each, sorted."""
         model = self.problem.model
         start = model.space.dofmap.index_map.local_range[0]
         owned = model.node_part[: model.owned]
@@ -199,8 +207,9 @@ class Condensation:
         for part in np.argsort(-count, kind="stable"):
             rank_of[part] = load.argmin()
             load[rank_of[part]] += count[part]
-        parcels = [start + np.flatnonzero(rank_of[owned] == rank) for rank in range(self.comm.size)]
-        self._nodes: Integers = np.sort(np.concatenate(self.comm.alltoall(parcels)))
+        here = [np.flatnonzero(rank_of[owned] == rank) for rank in range(self.comm.size)]
+        nodes, parts = np.concatenate(self.comm.alltoall([np.stack([start + n, owned[n]]) for n in here]), axis=1)
+        return [np.sort(nodes[parts == part]) for part in np.unique(parts)]
 
 
 def _unknowns(nodes: Integers, block: int) -> NDArray[np.int32]:

@@ -24,6 +24,7 @@ from mpi4py import MPI
 
 from app import __version__, fenicsx
 from app.files import on_all, on_root, replacing, temporary_name, write_text
+from app.memory import peak_memory_mb
 from app.pieces import (
     PIECE,
     STATUS,
@@ -36,7 +37,7 @@ from app.pieces import (
     read_index,
     write_index,
 )
-from app.timing import Timer, peak_memory_mb
+from app.timing import Timer
 
 __all__ = [
     "STATUS",

@@ -6,6 +6,7 @@ import ctypes
 
 import numpy as np
 import petsc4py.PETSc
+import scipy.linalg
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -15,16 +16,23 @@ Array = NDArray[np.float64]
 _library = ctypes.CDLL(petsc4py.PETSc.__file__)  # PETSc itself is linked to it
 
 
-class SchurFactor:
-    """LDL^T of a symmetric matrix of this rank, with the Schur complement of some of its unknowns. Not collective."""
+class SchurFactors:
+    """LDL^T of symmetric matrices of this rank, with the Schur complements of some of their unknowns. Not collective.
 
-    def __init__(self, matrix: PETSc.Mat, kept: NDArray[np.int32]) -> None:
-        """`matrix` is sequential; `kept` (n,) are the unknowns of the Schur complement, in its order."""
+    Vectors are those of the matrices, one after the other.
+    """
+
+    def __init__(self) -> None:
+        self._factors: list[PETSc.Mat] = []
+        self._vectors: list[tuple[PETSc.Vec, PETSc.Vec]] = []
+        self._complements: list[Array] = []
+
+    def add(self, matrix: PETSc.Mat, kept: NDArray[np.int32]) -> None:
+        """Factorize one more matrix, which is used up; `kept` (n,) are the unknowns of its Schur complement."""
         matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
-        self._ksp.setType(PETSc.KSP.Type.PREONLY)
-        self._ksp.setOperators(matrix)
-        pc = self._ksp.getPC()
+        matrix.convert(PETSc.Mat.Type.SBAIJ)  # half of it: MUMPS takes these values as they are
+        pc = PETSc.PC().create(MPI.COMM_SELF)
+        pc.setOperators(matrix)
         pc.setType(PETSc.PC.Type.CHOLESKY)
         pc.setFactorSolverType("mumps")
         pc.setFactorSetUpSolverType()
@@ -33,20 +41,40 @@ class SchurFactor:
         if len(kept):
             unknowns = PETSc.IS().createGeneral(kept.astype(PETSc.IntType), comm=MPI.COMM_SELF)
             _call("MatFactorSetSchurIS", factor, unknowns)
-        self._ksp.setUp()
-        #: The Schur complement (n, n) of the kept unknowns.
-        self.complement = _schur_complement(factor, len(kept)) if len(kept) else np.zeros((0, 0))
-        self._right, self._result = matrix.createVecs()
+        pc.setUp()
+        self._factors.append(factor)
+        self._vectors.append(matrix.createVecs())
+        self._complements.append(_schur_complement(factor, len(kept)) if len(kept) else np.zeros((0, 0)))
+        # The factors do without these, which would live until garbage is collected.
+        pc.destroy()
+        matrix.destroy()
 
     def destroy(self) -> None:
         """Give the factors' memory back. Ends its use."""
-        self._ksp.destroy()
+        for factor in self._factors:
+            factor.destroy()
+
+    def complement(self) -> Array:
+        """The Schur complement (n, n) of all unknowns that are kept."""
+        return scipy.linalg.block_diag(np.zeros((0, 0)), *self._complements)
+
+    def reduced(self, kept: Array) -> Array:
+        """The Schur complement times a vector (n,)."""
+        result, first = np.zeros_like(kept), 0
+        for complement in self._complements:
+            part = slice(first, first := first + len(complement))
+            result[part] = complement @ kept[part]
+        return result
 
     def solve(self, right: Array) -> Array:
-        """The solution with the whole matrix."""
-        self._right.array[:] = right
-        self._ksp.solve(self._right, self._result)
-        return self._result.array.copy()
+        """The solution with the whole matrices."""
+        result, first = np.zeros_like(right), 0
+        for factor, (b, x) in zip(self._factors, self._vectors, strict=True):
+            part = slice(first, first := first + b.getSize())
+            b.array[:] = right[part]
+            factor.solve(b, x)
+            result[part] = x.array_r
+        return result
 
 
 def _schur_complement(factor: PETSc.Mat, size: int) -> Array:

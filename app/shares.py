@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from mpi4py import MPI
 
+from app.memory import peak_memory_mb
 from app.problem import Problem
-from app.timing import peak_memory_mb
 
 
 def shares(problem: Problem) -> dict[str, list[int]]:

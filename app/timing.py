@@ -1,8 +1,7 @@
-"""Where the time and the memory of a run went."""
+"""Where the time of a run went."""
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from time import perf_counter
@@ -52,8 +51,3 @@ class Timer:
         here = self.seconds | {"total": perf_counter() - self._start}
         everywhere = comm.allgather(here)
         return {name: sum(rank[name] for rank in everywhere) / comm.size for name in here}
-
-
-def peak_memory_mb(comm: MPI.Comm) -> float:
-    """Largest resident memory since the start, MB, summed over the ranks. Collective."""
-    return comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

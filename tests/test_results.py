@@ -7,6 +7,7 @@ import logging
 import math
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ import pytest
 from mpi4py import MPI
 
 from app import fenicsx
+from app.memory import give_back_memory, peak_memory_mb
 from app.pieces import read_index
 from app.results import (
     SUMMARY_KEYS,
@@ -28,7 +30,6 @@ from app.results import (
     ResultsError,
     Timer,
     grid,
-    peak_memory_mb,
     read_history,
     versions,
 )
@@ -430,6 +431,20 @@ def test_peak_memory_is_that_of_all_ranks(comm: MPI.Comm) -> None:
     ballast = np.ones(int((total / comm.size + 50) * 1e6 / 8))  # more than was ever in use
     assert peak_memory_mb(comm) > total + 20 * comm.size
     del ballast
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of the GNU C library alone")
+def test_memory_that_is_free_is_given_back() -> None:
+    """Small pieces between which some stay in use: freed, they stay with the process until they are given back."""
+
+    def resident_mb() -> float:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+    pieces = [bytes(50_000) for _ in range(2000)]
+    del pieces[:-1]
+    before = resident_mb()
+    give_back_memory()
+    assert resident_mb() < before - 50
 
 
 def test_timer_counts_no_second_twice(monkeypatch: pytest.MonkeyPatch) -> None:

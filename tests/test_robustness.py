@@ -11,11 +11,11 @@ import pytest
 from mpi4py import MPI
 
 from app import contact, solver
+from app.memory import peak_memory_mb
 from app.outcome import SolveError
 from app.scene import Scene, SceneError
 from app.simulation import NotConverged, run
 from app.stepping import Step, Stepper, StepReport
-from app.timing import peak_memory_mb
 from scripts.mats import CHEAP, COARSE, STEPS, mat, value
 from tests.scenes import press
 
