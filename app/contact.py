@@ -52,7 +52,9 @@ class Contact:
         planes: Sequence[PlanePass],
         pairs: Pairs,
         potential_scale: float | None,
+        along: PETSc.Vec | None = None,
     ) -> None:
+        """`along`: first components say how far nodes are along their part, over what is far; with self-contact."""
         self.comm = comm
         self.pairs = pairs
         self.passes = list(passes)
@@ -69,7 +71,7 @@ class Contact:
         sizes = [np.log(p.size) for p in self.every]
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
-        self._coordinates = coordinates
+        self._coordinates, self._along = coordinates, along
         self.margin = 0.0  # of the last pairing, um
         self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
@@ -103,6 +105,7 @@ class Contact:
         wanted = PETSc.IS().createBlock(self.components, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
         self._exchange = Exchange(state, wanted)
         self._reference = self._gather(self._coordinates)[:, : self.dim]
+        along = self._gather(self._along)[:, 0] if self._along is not None else None
         values = self._gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
         self._searched, self._partners_at = False, None
@@ -110,11 +113,11 @@ class Contact:
         for p in self.passes:
             p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
             p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
+            p.own = p.own_surface(self._reference, along) if along is not None else None
             if p.segments:
                 # Facets that come nearer than this in a step are cut when it has ended.
                 p.cut(position, self.reach + 0.5 * self._facet + 4.0 * self.last_penetration)
-            points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
-            self._meet_clumps(p, points, p.master_at(position), margin)
+            self._meet_clumps(p, position, margin)
             p.facet = np.full(len(p.rows), -1)
             p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
             p.found_beyond = np.zeros(len(p.rows))
@@ -125,15 +128,20 @@ class Contact:
         self.outgrown = False
         self._keep, self._exact = KEEP[0][1], True
 
-    def _meet_clumps(self, p: ContactPass, points: Array, facets: Array, margin: float) -> None:
+    def _meet_clumps(self, p: ContactPass, position: Array, margin: float) -> None:
         """Find the points near facets that they may meet, and which clumps each of them is near."""
+        points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
+        facets = p.master_at(position)
         boxed = Meetings.near(points, p.slave_clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
-        near = [
-            rows[p.meets[rows] & near_points(points[rows], facets[clump], margin)]
-            for rows, clump in zip(boxed.points, boxed.facets, strict=True)
-        ]
+        near, p.candidates = [], []
+        for rows, clump, own in zip(boxed.points, boxed.facets, boxed.own, strict=True):
+            rows = rows[p.meets[rows]]
+            slaves = p.points.facet[rows]
+            p.candidates.append(p.near_own(position, np.unique(slaves), clump, margin) if own else None)
+            close = p.candidates[-1].count(slaves) > 0 if own else near_points(points[rows], facets[clump], margin)
+            near.append(rows[close])
         p.rows = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
-        p.meetings = Meetings(boxed.clump, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near])
+        p.meetings = Meetings(boxed.clump, boxed.own, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near])
 
     def settle(self, iteration: int, residual: float, *, loose: bool) -> None:
         """Prepare the tangent of a Newton iteration that starts at this relative residual.
@@ -338,7 +346,9 @@ class Contact:
         deepest = 0.0
         for p in self.passes:
             centers, facets = position[p.slave_nodes].mean(axis=1), p.master_at(position)
-            for near, clump in zip(p.meetings.points, p.meetings.facets, strict=True):
+            for near, clump, own in zip(p.meetings.points, p.meetings.facets, p.meetings.own, strict=True):
+                if own:
+                    continue  # a surface lies on its own body
                 slaves = np.unique(p.points.facet[p.rows[near]])
                 depth = deepest_overlap(p.slave.kind, centers[slaves], facets[clump], p.visible.orientation[clump])
                 deepest = max(deepest, depth)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
+from petsc4py import PETSc
 
 from app import fenicsx, reductions
+from app.along import distance_along
 from app.contact import Contact
 from app.contact_pass import ContactPass, Pairs
 from app.model import Model
@@ -23,6 +25,7 @@ from forms.contact.laws import Adhesion, InterfaceLaw
 from forms.contact.lennard_jones import LennardJones
 from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule
 from meshes.nodal_normals import smoothed
+from meshes.own_surface import FAR
 from meshes.surface import Surface, body_facets, multiplicity, surface
 
 Array = NDArray[np.float64]
@@ -48,7 +51,8 @@ def contact_of(model: Model) -> Contact | None:
         passes, pairs = _of_scene(model)
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
-    return Contact(model.comm, model.space, x, passes, planes, pairs, scale)
+    along = _along(model) if keys is not None and keys.self_contact else None
+    return Contact(model.comm, model.space, x, passes, planes, pairs, scale, along)
 
 
 def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:
@@ -71,10 +75,11 @@ def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:
 def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
     """Passes of every two bodies that share no node: one for all bodies of a kind against all of another.
 
-    A kind is what the penalties depend on: stiffness and permittivity.
+    With self-contact every two bodies, and each with itself. A kind is what the penalties depend on: stiffness and
+    permittivity.
     """
     bodies, keys = model.bodies, model.scene.contact
-    rule = Rule(len(bodies.part_bodies), ordered=keys.passes == 1)
+    rule = Rule(len(bodies.part_bodies), ordered=keys.passes == 1, itself=keys.self_contact)
     outside = fenicsx.exterior_facets(model.mesh)
     whole = surface(model.space, "outside", outside, bodies.order)
     kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
@@ -106,9 +111,34 @@ def _listed(model: Model) -> Pairs:
     listed = {}
     if count <= LISTED_BODIES:
         parts = [{p for p, members in enumerate(bodies.part_bodies) if i in members} for i in range(count)]
-        apart = [(i, j) for i, j in combinations(range(count), 2) if not parts[i] & parts[j]]
-        listed = {i * count + j: f"{bodies.bodies[i]}-{bodies.bodies[j]}" for i, j in apart}
+        itself = model.scene.contact.self_contact
+        meet = [(i, j) for i, j in combinations_with_replacement(range(count), 2) if itself or not parts[i] & parts[j]]
+        listed = {i * count + j: f"{bodies.bodies[i]}-{bodies.bodies[j]}" for i, j in meet}
     return Pairs(bodies.bodies, None, listed)
+
+
+def _along(model: Model) -> PETSc.Vec:
+    """How far the nodes are along their part, over what is far, in the first components of a vector like the state."""
+    far = FAR * _fiber_thickness(model)[model.node_part]
+    vector = model.coordinate_vector()
+    values = np.zeros((model.owned, model.block))
+    values[:, 0] = (distance_along(model.space, model.node_part, len(model.bodies.part_bodies)) / far)[: model.owned]
+    vector.array[:] = values.ravel()
+    return vector
+
+
+def _fiber_thickness(model: Model) -> Array:
+    """Thickness (parts,) of each part however it is bent, um: 2 (d - 1) times its volume over its surface.
+
+    That is a fiber's diameter and the thickness of a strip in two dimensions.
+    """
+    bodies = model.bodies
+    outside = surface(model.space, "outside", fenicsx.exterior_facets(model.mesh), bodies.order)
+    points = quadrature_points(outside.kind, outside.reference)
+    part, parts = bodies.cell_part[outside.cells[points.facet]], len(bodies.part_bodies)
+    area = reductions.total(model.comm, np.bincount(part, points.weight, parts))
+    volume = reductions.total(model.comm, np.bincount(bodies.cell_part, fenicsx.cell_volumes(model.mesh), parts))
+    return 2.0 * (model.dim - 1) * volume / area
 
 
 def _planes(model: Model, first_number: int) -> list[PlanePass]:

@@ -14,7 +14,8 @@ from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from forms.contact.segments import Facets, nearest_points, segment_points
 from forms.contact.smoothing import rounded, spread
 from meshes.crowd import Meetings, Rule, VisibleFacets
-from meshes.pairing import facing_pairs
+from meshes.own_surface import Candidates, OwnSurface, Sides
+from meshes.pairing import facing_pairs, near_pairs
 from meshes.surface import Surface
 
 Array = NDArray[np.float64]
@@ -57,7 +58,8 @@ class ContactPass:
     clumps of the slave's facets (f,) and of the master's which of them may meet; `first`: whether the slave is the
     first of its pair. `share` is the pass's share of the contact enthalpy (1/2 each with two passes). `meets`: which
     points can meet anything, as pieces that no master facet covers cannot. After a pairing, `rows` are the points near
-    the master, `facet` and `xi` their partners in `visible` and where, `met` those of the rows that have one, and
+    the master, `candidates` for each of the `meetings` the facets of their own part that they may meet, or None if it
+    is not their own, `facet` and `xi` their partners in `visible` and where, `met` those of the rows that have one, and
     `found_beyond` the share of a facet by which a point that did not touch was beyond its partner when that was found;
     all else is further off than `clear` - `approach` (um), which is how much nearer things may have come, growing from
     search to search. The last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet,
@@ -87,7 +89,9 @@ class ContactPass:
     shift: Shift = field(init=False)
     drag: Drag = field(init=False)
     meetings: Meetings = field(init=False)
+    candidates: list[Candidates | None] = field(init=False)
     visible: VisibleFacets = field(init=False)
+    own: OwnSurface | None = field(init=False, default=None)
     rows: NDArray[np.int64] = field(init=False)
     facet: NDArray[np.int64] = field(init=False)
     xi: Array = field(init=False)
@@ -136,7 +140,7 @@ class ContactPass:
         master = Facets(self.master_at(position), self.visible.orientation, self.visible.key)
         kind = self.slave.kind
         pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
-        allowed = self.rule.allows(self.slave_clump[pairs[0]], self.visible.clump[pairs[1]])
+        allowed = self.may_meet(*pairs)
         pairs = pairs[0][allowed], pairs[1][allowed]
         before, (converged, history, _) = self.points, self._converged
         points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
@@ -145,6 +149,35 @@ class ContactPass:
         self.meets, self.drag = meets, drag
         self._whole = ~np.isin(points.facet, pairs[0])
         self.history = history[nearest_points(points.facet, points.xi, converged)]
+
+    def own_surface(self, reference: Array, along: Array) -> OwnSurface:
+        """The surface in the undeformed state; nodes are at `reference` (n, d) and so far `along` (n,) their part."""
+        kind, slave, visible = self.slave.kind, self.slave_at(reference), self.master_at(reference)
+        ours, theirs = along[self.slave_nodes], along[self.master_nodes]
+        return OwnSurface(
+            Sides.of(kind, slave, self.slave.orientation, ours, self.slave_nodes, self.slave.key),
+            Sides.of(kind, visible, self.visible.orientation, theirs, self.master_nodes, self.visible.key),
+        )
+
+    def may_meet(self, slave: NDArray[np.int64], master: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether points of slave facets may meet visible master facets, (k,) each."""
+        ours, theirs = self.slave_clump[slave], self.visible.clump[master]
+        may = self.rule.allows(ours, theirs)
+        if self.own is not None:
+            joined = np.flatnonzero(may & self.rule.joined(ours, theirs))
+            pairs = slave[joined], master[joined]
+            may[joined] = self.own.may_meet(*pairs)
+            if self.rule.ordered:
+                may[joined] &= (ours != theirs)[joined] | self.own.precedes(*pairs)
+        return may
+
+    def near_own(
+        self, position: Array, slaves: NDArray[np.int64], facets: NDArray[np.int64], margin: float
+    ) -> Candidates:
+        """Those `facets` of their own part that points of slave facets may meet and that come within `margin`."""
+        i, j = near_pairs(self.slave_at(position, slaves), self.master_at(position, facets), margin)
+        may = self.may_meet(slaves[i], facets[j])
+        return Candidates.of(slaves[i[may]], j[may], len(self.slave))
 
     def slave_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
         """Nodes (f, n, d) of slave facets, those of curved ones that have no number included, nodes at `position`."""
@@ -198,13 +231,24 @@ class ContactPass:
         """The clump that each point of the last evaluation met, (met,)."""
         return self.visible.clump[self.facet[self.met]]
 
+    def met_own(self) -> NDArray[np.bool_]:
+        """Whether each point of the last evaluation met a facet of its own connected part, (met,)."""
+        return self.rule.joined(self.slave_clump[self.points.facet[self.rows[self.met]]], self.met_clump())
+
     def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Number of the pair that each point met belongs to, and whether the point is on the first of the two."""
+        """Number of the pair that each point met belongs to, and whether the point is on the first of the two.
+
+        Of a body and itself the first is what comes first along it.
+        """
         if pairs.given is not None:
             return np.full(len(self.met), self.pair), np.full(len(self.met), self.first)
         slave = self.rule.body(self.slave_clump[self.points.facet[self.rows[self.met]]])
         master = self.rule.body(self.met_clump())
-        return pairs.of_bodies(slave, master), slave < master
+        first = slave < master
+        if self.own is not None:
+            same = np.flatnonzero(slave == master)
+            first[same] = self.own.precedes(self.points.facet[self.rows[self.met[same]]], self.facet[self.met[same]])
+        return pairs.of_bodies(slave, master), first
 
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""

@@ -188,6 +188,11 @@ def nodes_per_cell(mesh: Any) -> int:
     return int(element.create_dof_layout().num_dofs)
 
 
+def corners_per_cell(mesh: Any) -> int:
+    """Number of corners of a cell, also on a rank that has none."""
+    return {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}[cell_name(mesh)]
+
+
 def degree(argument: Any) -> int:
     """Polynomial order of the element of a function, a form's argument or a space."""
     return int(_value(argument.ufl_element().degree))

@@ -6,6 +6,7 @@ import numpy as np
 
 from app.contact import Contact
 from app.model import Model
+from app.planes import PlanePass
 
 
 def touching_bodies(model: Model, contact: Contact) -> set[int]:
@@ -13,10 +14,14 @@ def touching_bodies(model: Model, contact: Contact) -> set[int]:
     cell_body = model.bodies.cell_body
     found: set[int] = set()
     for p in contact.every:
-        facets = p.points.facet[p.rows[p.met[p.gap <= p.law.rest]]]
-        found |= set(np.unique(cell_body[p.slave.cells[facets]]).tolist())
-    for p in contact.passes:
         closed = p.gap <= p.law.rest
+        plane = isinstance(p, PlanePass)
+        if not plane:
+            closed &= ~p.met_own()  # what touches itself alone is alone
+        facets = p.points.facet[p.rows[p.met[closed]]]
+        found |= set(np.unique(cell_body[p.slave.cells[facets]]).tolist())
+        if plane:
+            continue
         if contact.pairs.given is None:
             found |= set(p.rule.body(p.met_clump()[closed]).tolist())
         elif closed.any():

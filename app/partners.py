@@ -80,12 +80,14 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.b
     least = np.full(len(p.rows), np.inf)  # gap of the partner
     away = np.full(len(p.rows), np.inf)  # least distance of the partner's clump, plus approach
     clear = np.full(len(p.rows), np.inf)  # and of all others
-    for near, facets in zip(p.meetings.points, p.meetings.facets, strict=True):
+    for near, facets, own in zip(p.meetings.points, p.meetings.facets, p.candidates, strict=True):
         tried = near[lost[near]]
         if not len(tried):
             continue
         nodes, orientation, key = p.master_at(position, facets), p.visible.orientation[facets], p.visible.key[facets]
-        found, xi, off = closest_facets(kind, points[tried], normals[tried], nodes, orientation, key, far, depth)
+        pairs = own.of_points(p.points.facet[p.rows[tried]]) if own is not None else None
+        given = points[tried], normals[tried], nodes, orientation, key, far, depth, pairs
+        found, xi, off = closest_facets(kind, *given)
         off += p.approach[tried] - search.drift
         met = np.flatnonzero(found >= 0)
         gap = np.full(len(tried), np.inf)

@@ -100,6 +100,8 @@ def _contact(model: Model, contact: Contact | None) -> str:
     listed = list(contact.pairs.listed.values())
     what = f"{len(listed)} pairs ({named(listed)})" if listed else "any two bodies that come near each other"
     curved = ", facets curved with a continuous normal" if keys.smoothing else ""
+    if keys.self_contact and not listed:
+        what += ", and each with itself"
     return f"{what}, {where}, {passes}, {points} points, penalties for {both}{curved}"
 
 

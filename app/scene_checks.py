@@ -146,8 +146,9 @@ def contact(scene: Scene) -> None:
         raise SceneError("contact.smoothing", "true", allowed)
     pairs = scene.contact.pairs
     if pairs == "auto":
-        if len(scene.body_names) < 2 and not scene.planes:
-            raise SceneError("contact.pairs", '"auto" with one body', 'two bodies, or [["slave", "master"], ...]')
+        if len(scene.body_names) < 2 and not scene.planes and not scene.contact.self_contact:
+            allowed = 'two bodies, or [["slave", "master"], ...], or self_contact = true'
+            raise SceneError("contact.pairs", '"auto" with one body', allowed)
         return
     known = list(dict.fromkeys([*scene.body_names, *scene.facet_groups]))
     seen: dict[frozenset[str], int] = {}

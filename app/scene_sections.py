@@ -278,6 +278,9 @@ class Contact(Keys):
         "point",
         description="node-to-surface, quadrature points on the slave, or on slave facets cut along master edges",
     )
+    self_contact: bool = Field(
+        False, description='pairs "auto" only: bodies also meet themselves, and others that they share nodes with'
+    )
     passes: OneOrTwo = Field(2, description="2: both ways, half each")
     normal_penalty: Positive | None = Field(None, description="MPa/um per area")
     normal_penalty_factor: Positive | None = Field(
@@ -317,6 +320,8 @@ class Contact(Keys):
             raise SceneError("nodal_weight", shown(self.nodal_weight), 'nothing unless method = "node"')
         if self.augment is not None and self.adhesion is not None and self.adhesion.law == "lennard_jones":
             raise SceneError("augment", self.augment, 'nothing with law "lennard_jones"')
+        if self.self_contact and self.pairs != "auto":
+            raise SceneError("self_contact", "true", 'false, or pairs = "auto"')
         if self.pairs == []:
             raise SceneError("pairs", self.pairs, '"auto" or at least one ["slave", "master"]')
         return self

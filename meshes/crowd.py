@@ -1,6 +1,7 @@
 """Surfaces of many bodies: which facets a rank must see, and which bodies' facets each point must be tried against.
 
-A clump is a connected piece of one body; points never meet facets of their own body, or of their own connected part.
+A clump is a connected piece of one body; points never meet facets of their own body, or of their own connected part,
+unless self-contact is asked for: `own_surface` then says of facets of one part which may meet.
 Everything goes by boxes around small clusters of neighbouring facets of one clump, so that the work is proportional to
 the surface and not to the number of pairs of bodies.
 """
@@ -22,10 +23,14 @@ CLUSTER = 64  # facets, or points, in a box of the coarse search
 
 @dataclass(frozen=True)
 class Rule:
-    """Which clumps may meet. A clump's number is body * parts + part; `ordered`: slaves of the lower body alone."""
+    """Which clumps may meet. A clump's number is body * parts + part.
+
+    `ordered`: slaves of the lower body alone; `itself`: with self-contact.
+    """
 
     parts: int = 1
     ordered: bool = False
+    itself: bool = False
 
     def clump(self, body: NDArray, part: NDArray) -> Integers:
         """Numbers of clumps."""
@@ -37,8 +42,13 @@ class Rule:
 
     def allows(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
         """Whether points of the slave clumps may meet facets of the master clumps."""
-        apart = (self.body(slave) != self.body(master)) & (slave % self.parts != master % self.parts)
-        return apart & (self.body(slave) < self.body(master)) if self.ordered else apart
+        may = np.full(np.broadcast(slave, master).shape, self.itself)
+        may |= (self.body(slave) != self.body(master)) & ~self.joined(slave, master)
+        return may & (slave <= master) if self.ordered else may
+
+    def joined(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
+        """Whether clumps belong to the same connected part."""
+        return slave % self.parts == master % self.parts
 
 
 # One surface against another, whatever bodies they belong to: they stand for part 0 of body 0 and part 1 of body 1.
@@ -151,9 +161,13 @@ def share_facets(
 
 @dataclass(frozen=True)
 class Meetings:
-    """What points are near: for each clump of facets its number, its facets, and the points that may meet it."""
+    """What points are near: for each clump of facets its number, its facets, and the points that may meet it.
+
+    Points that are of the same connected part, `own`, come by themselves.
+    """
 
     clump: Integers
+    own: NDArray[np.bool_]
     facets: list[Integers]
     points: list[Integers]
 
@@ -167,13 +181,14 @@ class Meetings:
         a, b = overlapping(mine.boxes, theirs.boxes, margin)
         allowed = rule.allows(mine.clump[a], theirs.clump[b])
         a, clump = a[allowed], theirs.clump[b[allowed]]
+        own = rule.joined(mine.clump[a], clump)
         if not len(clump):
-            return cls(np.zeros(0, np.int64), [], [])
+            return cls(clump, own, [], [])
         by_clump = np.argsort(facet_clump, kind="stable")
         numbers, first = np.unique(facet_clump[by_clump], return_index=True)
         of_clump = dict(zip(numbers.tolist(), np.split(by_clump, first[1:]), strict=True))
-        found = np.unique(np.stack([clump, a], axis=1), axis=0)
-        met, start = np.unique(found[:, 0], return_index=True)
-        boxes = np.split(found[:, 1], start[1:])
+        found = np.unique(np.stack([clump, own, a], axis=1), axis=0)
+        met, start = np.unique(found[:, :2], axis=0, return_index=True)
+        boxes = np.split(found[:, 2], start[1:])
         near = [np.concatenate([mine.members[box] for box in group]) for group in boxes]
-        return cls(met, [of_clump[int(number)] for number in met], near)
+        return cls(met[:, 0], met[:, 1] > 0, [of_clump[int(number)] for number in met[:, 0]], near)

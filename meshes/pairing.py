@@ -31,6 +31,15 @@ def near_points(points: Array, facets: Array, margin: float) -> NDArray[np.bool_
     return near
 
 
+def near_pairs(slaves: Array, masters: Array, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs (slave facet, master facet), nodes (f, n, d), that may come within `reach` (um); never misses one."""
+    if not len(slaves) or not len(masters):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    center = slaves.mean(axis=1)
+    radius = np.linalg.norm(slaves - center[:, None], axis=2).max(axis=1)
+    return _all_within(center, masters, radius + reach)
+
+
 def facing_pairs(
     kind: FacetKind,
     slaves: tuple[Array, Array],
@@ -41,12 +50,7 @@ def facing_pairs(
 
     slaves, masters: current nodes (f, n, d) and orientation (f,) of the facets.
     """
-    nodes, facets = slaves[0], masters[0]
-    if not len(nodes) or not len(facets):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    center = nodes.mean(axis=1)
-    radius = np.linalg.norm(nodes - center[:, None], axis=2).max(axis=1)
-    row, facet = _all_within(center, facets, radius + reach)
+    row, facet = near_pairs(slaves[0], masters[0], reach)
     mine, theirs = (point_normals(kind, np.tile(kind.middle, (len(n), 1)), n, sign) for n, sign in (slaves, masters))
     faces = np.einsum("md,md->m", mine[row], theirs[facet]) < FACING
     return row[faces], facet[faces]
@@ -61,6 +65,7 @@ def closest_facets(
     key: NDArray[np.int64],
     margin: float,
     depth: float = np.inf,
+    pairs: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """The facet (m,) that each point meets, -1 for none, where (m, t), and how far (m,) all facets are at least.
 
@@ -68,11 +73,12 @@ def closest_facets(
     a point behind them must be inside the body. points (m, d) with normals (m, d), facets (f, n, d). Two facets
     equally near are told apart by their key, so that the answer does not depend on their order. A point beyond the
     end of the surface meets nothing, nor does one deeper than `depth` (um): it would be nearer to the far side.
-    Facets further off than `margin` (um) may be left out; how far they are is told up to there.
+    Facets further off than `margin` (um) may be left out; how far they are is told up to there. `pairs` (point,
+    facet): if given, nothing but these can meet.
     """
     found = np.full(len(points), -1)
     where = np.zeros((len(points), kind.dim))
-    row, facet, clear, unseen = _may_be_nearest(kind, points, normals, facets, orientation, margin)
+    row, facet, clear, unseen = _may_be_nearest(kind, points, normals, facets, orientation, margin, pairs)
     if not len(row):
         return found, where, clear
     seen = _look(kind, points, normals, facets, orientation, row, facet)
@@ -154,12 +160,15 @@ def brute_force_facets(
     orientation: Array,
     key: NDArray[np.int64],
     depth: float = np.inf,
+    may_meet: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int64]:
-    """The slow, readable reference of `closest_facets`: every point against every facet."""
+    """The slow, readable reference of `closest_facets`: every point against every facet that it `may_meet` (m, f)."""
     found = np.full(len(points), -1)
-    every = np.arange(len(facets))
     for i in range(len(points)):
-        seen = _look(kind, points, normals, facets, orientation, np.full(len(facets), i), every)
+        every = np.arange(len(facets)) if may_meet is None else np.flatnonzero(may_meet[i])
+        if not len(every):
+            continue
+        seen = _look(kind, points, normals, facets, orientation, np.full(len(every), i), every)
         closest = np.lexsort((~seen.facing, seen.distance))[0]
         inside = (seen.gap[closest] <= END_TOLERANCE * seen.size[closest]) & (seen.gap > -depth)
         seen = seen[seen.facing & ((seen.gap > 0.0) | inside)]
@@ -206,7 +215,13 @@ def _candidates(
 
 
 def _may_be_nearest(
-    kind: FacetKind, points: Array, normals: Array, facets: Array, orientation: Array, margin: float
+    kind: FacetKind,
+    points: Array,
+    normals: Array,
+    facets: Array,
+    orientation: Array,
+    margin: float,
+    pairs: tuple[NDArray[np.int64], NDArray[np.int64]] | None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
     """Pairs (point, facet) that a cheap bound cannot rule out: few need a closer look.
 
@@ -217,7 +232,10 @@ def _may_be_nearest(
     if not len(facets):
         return np.zeros(0, np.int64), np.zeros(0, np.int64), clear, left_out
     flat = _Flat.of(kind, facets, orientation)
-    row, facet, unseen = _candidates(kind, points, facets, margin)
+    if pairs is None:
+        row, facet, unseen = _candidates(kind, points, facets, margin)
+    else:
+        (row, facet), unseen = pairs, np.full(len(points), np.inf)
     row, facet, least, nearest = _bounded(kind, points, normals, flat, row, facet, margin)
     again = np.flatnonzero((unseen < nearest) & (nearest < margin))
     some = (unseen < nearest) & (nearest >= margin)

@@ -78,6 +78,8 @@ def test_rules_say_who_may_meet() -> None:
     assert allowed.astype(int).tolist() == [[0, 0, 1, 1], [0, 0, 0, 1], [1, 0, 0, 1], [1, 1, 1, 0]]
     ordered = Rule(parts=3, ordered=True).allows(clumps[:, None], clumps)
     assert (ordered == np.triu(allowed)).all()
+    itself = Rule(parts=3, ordered=True, itself=True).allows(clumps[:, None], clumps)
+    assert (itself == np.triu(np.ones((4, 4)))).all()
     assert ONE_TO_ONE.allows(np.array([0]), np.array([3])).all()
 
 

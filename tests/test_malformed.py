@@ -218,6 +218,10 @@ WRONG = {
     "pair of three": Wrong('["lower", "upper"]', '["lower", "upper", "top"]', "contact.pairs", "2"),
     "no pairs": Wrong('[["lower", "upper"]]', "[]", "contact.pairs", "auto"),
     "contact method": Wrong("[contact]", '[contact]\nmethod = "mortar"', "contact.method", '"point" or "segment"'),
+    "self-contact of named pairs": Wrong(
+        "[contact]", "[contact]\nself_contact = true", "contact.self_contact", 'false, or pairs = "auto"'
+    ),
+    "self-contact": Wrong("[contact]", "[contact]\nself_contact = 1", "contact.self_contact", "true or false"),
     "passes": Wrong("[contact]", "[contact]\npasses = 3", "contact.passes", "1 or 2"),
     "penalty and factor": Wrong(
         "[contact]",
