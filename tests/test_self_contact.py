@@ -73,11 +73,14 @@ def clasp(path: Path, *, bodies: tuple[str, str] = ("a", "a")) -> Path:
     return path
 
 
-def closed(path: Path, bodies: tuple[str, str] = ("a", "a"), **contact: Any) -> dict[str, Any]:
+def closed(
+    path: Path, bodies: tuple[str, str] = ("a", "a"), kinematics: str = "small", **contact: Any
+) -> dict[str, Any]:
     """The last row of a clasp that is pressed by more than the gap between its blocks."""
     keys = {"normal_penalty": PENALTY, "self_contact": True, **contact}
     scene = Scene(
         geometry={"file": str(clasp(path, bodies=bodies))},
+        model={"kinematics": kinematics},
         materials={"m": {"young": YOUNG, "poisson": 0.0}},
         bodies={"*": "m"},
         boundaries=[
@@ -108,13 +111,14 @@ def test_a_clasp_without_self_contact_goes_through_itself(tmp_path: Path) -> Non
     assert abs(last["force_y@top"]) < 1e-2 * YOUNG * (PRESS - GAP) / HEIGHT
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_it_is_the_contact_of_the_faces_that_meet(tmp_path: Path, method: str) -> None:
+@pytest.mark.parametrize(("method", "kinematics"), [*((method, "small") for method in METHODS), ("point", "finite")])
+def test_it_is_the_contact_of_the_faces_that_meet(tmp_path: Path, method: str, kinematics: str) -> None:
     """The faces named as a pair, and a clasp of two bodies that share nodes, give the same."""
     path = tmp_path / "clasp.msh"
-    found = closed(path, method=method)
-    faces = closed(path, method=method, self_contact=False, pairs=[["under", "over"]])
-    halves = closed(path, ("a", "b"), method=method)
+    given = {"method": method, "kinematics": kinematics}
+    found = closed(path, **given)
+    faces = closed(path, **given, self_contact=False, pairs=[["under", "over"]])
+    halves = closed(path, ("a", "b"), **given)
     assert abs(halves["contact_force_y@a-a"]) == abs(halves["contact_force_y@b-b"]) == 0.0
     for name in ("contact_area", "max_pressure", "max_penetration"):
         expected = faces[f"{name}@under-over"]
