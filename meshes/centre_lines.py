@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,15 +15,34 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 STEP = 0.5  # length of the straight pieces that distances are measured between, in radii
+STEEPEST = 70.0  # degrees between a fiber and a face's normal up to which its end is cut flush with the face
+RAMP = 3.0  # sections turn into a face over this many times the way that they are moved furthest
+MOST_BENT = 0.5  # radius over the radius of curvature up to which sections can do that
+TIP = 8  # pieces to the tip of an end cut at an angle
+FLUSH_SHARE = 0.3  # of its length that a fiber may lose or gain at an end so cut, on the side where it is most
+
+
+@dataclass(frozen=True)
+class Face:
+    """The plane where coordinate `axis` is `where` (um), and the side of it that is outside: +1 above, -1 below."""
+
+    axis: int
+    where: float
+    outside: int
 
 
 @dataclass(frozen=True, eq=False)
 class Fiber:
-    """A fiber of one radius (um) about the natural cubic spline through points (n, 3), n >= 2."""
+    """A fiber of one radius (um) about the natural cubic spline through points (n, 3), n >= 2.
+
+    The first and the last point lie in the `faces` that cut it, if any, and its ends are flush with these, as if the
+    fiber went on straight beyond them.
+    """
 
     name: str
     points: Array
     radius: float
+    faces: tuple[Face | None, Face | None] = (None, None)
 
     @cached_property
     def curve(self) -> CubicSpline:
@@ -41,15 +60,68 @@ class Fiber:
         """Volume (um3)."""
         return np.pi * self.radius**2 * self.length
 
+    def at(self, along: Array) -> tuple[Array, Array]:
+        """Points (..., 3) of the centre line and its slope (..., 3) there, straight beyond its ends."""
+        inside = np.clip(along, 0.0, self.length)
+        slope = self.curve(inside, 1)
+        return self.curve(inside) + (along - inside)[..., None] * slope, slope
+
     def samples(self) -> tuple[Array, Array]:
         """Parameters (k,) and points (k, 3) along the centre line, at most half a radius apart."""
         along = np.linspace(0.0, self.length, max(2, int(np.ceil(self.length / (STEP * self.radius))) + 1))
         return along, self.curve(along)
 
+    def cap(self, end: int) -> Array:
+        """Centre of the flush first (0) or last (1) end, and half axes towards its tip and across, (3, 3) (um)."""
+        face = self.faces[end]
+        normal, slope = np.eye(3)[face.axis], self.curve(end * self.length, 1)
+        out = slope / np.linalg.norm(slope) * (1.0 if end else -1.0)
+        cosine = face.outside * out[face.axis]
+        lean = out - out[face.axis] * normal
+        sine = np.linalg.norm(lean)
+        lean = lean / sine if sine > 0.0 else np.roll(normal, 1)
+        across = self.radius * np.cross(normal, lean)
+        return np.stack([self.points[-end], self.radius / cosine * lean, across])
+
+    @property
+    def lowest(self) -> float:
+        """Height of its lowest place (um), of the points alone and of flush ends."""
+        caps = [self.cap(end)[:, 2] for end, face in enumerate(self.faces) if face is not None]
+        return min([float(self.points[:, 2].min()) - self.radius, *(z - np.hypot(a, b) for z, a, b in caps)])
+
+    def overhang(self, end: int) -> float:
+        """By how much of the parameter the tip of a flush end is beyond the end of the centre line."""
+        slope = self.curve(end * self.length, 1)
+        return float(abs(self.cap(end)[1] @ slope) / (slope @ slope))
+
+    def flush(self) -> Fiber:
+        """The same fiber without the faces that would cut it too flat for sound cells: its ends there are square."""
+        kept = tuple(face if face and self._can_be_flush(end) else None for end, face in enumerate(self.faces))
+        return self if kept == self.faces else replace(self, faces=kept)
+
+    def _can_be_flush(self, end: int) -> bool:
+        """Whether it is long enough, goes steeply through a face wherever that cuts it, and bends little there."""
+        face, most = self.faces[end], FLUSH_SHARE * self.length
+        inward = np.linspace(0.0, most, int(np.ceil(most / (0.1 * self.radius))) + 1)
+        x, slope = self.at(inward if end == 0 else self.length - inward)
+        cosine = face.outside * (1.0 if end else -1.0) * slope[:, face.axis] / np.linalg.norm(slope, axis=1)
+        room = face.outside * (face.where - x[:, face.axis])
+        whole = room >= self.radius * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) * (1.0 - 1e-9)
+        if not whole.any() or cosine[: whole.argmax() + 1].min() < np.cos(np.radians(STEEPEST)):
+            return False
+        overhang = self.overhang(end)
+        near = inward <= RAMP * overhang
+        bend = self.curve(inward if end == 0 else self.length - inward, 2)
+        curvature = np.linalg.norm(np.cross(slope, bend), axis=1) / np.linalg.norm(slope, axis=1) ** 3
+        return overhang <= most and curvature[near].max() * self.radius <= MOST_BENT
+
 
 @dataclass(frozen=True)
 class Pieces:
-    """Straight pieces of centre lines: ends (n, 3) each, fiber (n,), radius (n,), parameters (n, 2) of the ends."""
+    """Straight pieces that fibers lie about: of their centre lines, and on to the tips of their flush ends.
+
+    Ends (n, 3) each, fiber (n,), radius (n,), parameters (n, 2) of the ends.
+    """
 
     start: Array
     end: Array
@@ -60,15 +132,29 @@ class Pieces:
     @classmethod
     def of(cls, fibers: Sequence[Fiber]) -> Pieces:
         """The pieces of some fibers, in their order."""
-        sampled = [fiber.samples() for fiber in fibers]
-        counts = [len(x) - 1 for _, x in sampled]
-        return cls(
-            np.concatenate([x[:-1] for _, x in sampled]),
-            np.concatenate([x[1:] for _, x in sampled]),
-            np.repeat(np.arange(len(fibers)), counts),
-            np.repeat([fiber.radius for fiber in fibers], counts),
-            np.concatenate([np.stack([s[:-1], s[1:]], axis=1) for s, _ in sampled]),
-        )
+        found = [piece for number, fiber in enumerate(fibers) for piece in cls._of(number, fiber)]
+        return cls(*(np.concatenate(values) for values in zip(*found, strict=True)))
+
+    @classmethod
+    def _of(cls, number: int, fiber: Fiber) -> Iterator[tuple[NDArray, ...]]:
+        """The values of its fields for the stretch between the ends of a fiber and for the tip of each flush end.
+
+        What such an end has beyond the section about the last point of the centre line lies about the half axis of its
+        ellipse, within a radius that goes down to nothing as that of a circle does.
+        """
+
+        def pieces(along: Array, x: Array, radius: Array) -> tuple[NDArray, ...]:
+            ends = np.stack([along[:-1], along[1:]], axis=1)
+            return x[:-1], x[1:], np.full(len(x) - 1, number), radius, ends
+
+        along, x = fiber.samples()
+        yield pieces(along, x, np.full(len(x) - 1, fiber.radius))
+        angle = np.linspace(0.0, 0.5 * np.pi, TIP + 1)
+        for end, face in enumerate(fiber.faces):
+            if face is not None and fiber.overhang(end) > 0.0:
+                center, half, _ = fiber.cap(end)
+                beyond = end * fiber.length + (1.0 if end else -1.0) * fiber.overhang(end) * np.sin(angle)
+                yield pieces(beyond, center + np.sin(angle)[:, None] * half, fiber.radius * np.cos(angle[:-1]))
 
     def take(self, chosen: Integers) -> Pieces:
         """Some of the pieces."""

@@ -131,12 +131,11 @@ class Outcome:
         """That of fibers in 3D in a box of this area seen from above (None: of the box around them)."""
         thinnest = min(fiber.radius for fiber in fibers)
         found = crossings(fibers, NEAR * thinnest)
-        ends = [(fiber.samples()[1], fiber.radius) for fiber in fibers]
-        low = np.min([x.min(axis=0) - _reach(x, r) for x, r in ends], axis=0)
-        high = np.max([x.max(axis=0) + _reach(x, r) for x, r in ends], axis=0)
+        extents = np.array([_extent(fiber) for fiber in fibers])
+        low, high = extents[:, 0].min(axis=0), extents[:, 1].max(axis=0)
         seen = area if area is not None else float(np.prod((high - low)[:2]))
         volume = sum(fiber.volume for fiber in fibers)
-        steps = np.concatenate([np.diff(x, axis=0) for x, _ in ends])
+        steps = np.concatenate([np.diff(fiber.samples()[1], axis=0) for fiber in fibers])
         length, flat = np.linalg.norm(steps, axis=1), np.maximum((steps[:, :2] ** 2).sum(axis=1), 1e-300)
         turned = (steps[:, 0] ** 2 - steps[:, 1] ** 2) / flat
         return cls(
@@ -162,11 +161,20 @@ class Outcome:
         )
 
 
-def _reach(x: Array, radius: float) -> Array:
-    """How far (3,) the surface of a fiber with these points reaches beyond its centre line, along each axis.
+def _extent(fiber: Fiber) -> Array:
+    """Low and high (2, 3) of a fiber along each axis, or a little more.
 
     A disc across a direction of cosine c to an axis reaches sqrt(1 - c^2) radii along it.
     """
+    x = fiber.samples()[1]
     steps = np.diff(x, axis=0)
     cosine = np.abs(steps) / np.linalg.norm(steps, axis=1, keepdims=True)
-    return radius * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)).max(axis=0)
+    reach = fiber.radius * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)).max(axis=0)
+    extent = np.stack([x.min(axis=0) - reach, x.max(axis=0) + reach])
+    for end, face in enumerate(fiber.faces):
+        if face is not None:
+            center, *axes = fiber.cap(end)
+            across = np.linalg.norm(axes, axis=0)
+            extent = np.stack([np.minimum(extent[0], center - across), np.maximum(extent[1], center + across)])
+            extent[:, face.axis] = np.clip(extent[:, face.axis], *sorted((face.where, -face.outside * np.inf)))
+    return extent

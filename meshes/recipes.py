@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
-from meshes.centre_lines import Fiber
+from meshes.centre_lines import Face, Fiber
 from meshes.fiber_shape import FiberShape
 from meshes.gmsh_model import MeshError
-from meshes.laying import Bed, lay_all
+from meshes.laying import Bed, Faces, lay_all
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
@@ -36,7 +36,8 @@ def _not_too_bent(bend_radius: float | None, others: ValidationInfo) -> float | 
 class CrossPly(FiberShape):
     """3D: plies of parallel straight fibers, each ply at its angle, laid on each other from z = 0 up.
 
-    The box goes from (0, 0) to (width, depth); every fiber crosses it. Bodies `ply_1_fiber_1` and so on.
+    The box goes from (0, 0) to (width, depth); every fiber crosses it and ends flush with its faces (see `Mat`).
+    Bodies `ply_1_fiber_1` and so on.
     """
 
     shape: Literal["cross_ply"] = "cross_ply"
@@ -71,7 +72,8 @@ class CrossPly(FiberShape):
                 plan = _cut(line, self.width, self.depth)
                 if plan is not None and _length(plan) >= SHORTEST * self.radius:
                     number += 1
-                    plans.append((f"ply_{ply}_fiber_{number}", plan, self.radius))
+                    faces = _faces_that_cut(plan, self.width, self.depth)
+                    plans.append((f"ply_{ply}_fiber_{number}", plan, self.radius, faces))
         if not plans:
             raise MeshError(f"no fiber of {SHORTEST:g} radii or more fits into the box")
         return tuple(lay_all(plans, self.bend_radius, self.gap))
@@ -88,7 +90,8 @@ class Mat(FiberShape):
     """3D: fibers laid one on the other at random, from z = 0 up, in a box from (0, 0) to (width, depth).
 
     Fibers come to rest where they first touch; with `bend_radius` they bend over those below. Without `length` they
-    cross the box. Bodies `fiber_1` and so on, from below.
+    cross the box and end flush with its faces, but square to themselves where they graze a face, bend closely there or
+    are too short for sound cells (`Fiber.flush`). Bodies `fiber_1` and so on, from below.
     """
 
     shape: Literal["mat"] = "mat"
@@ -152,7 +155,8 @@ class Mat(FiberShape):
         bed, volume = Bed(self.bend_radius, self.gap), 0.0
         count = self.count or (20 if self.areal_density is None and self.thickness is None else None)
         for number, (plan, radius) in enumerate(self._drawn(), start=1):
-            volume += bed.lay(f"fiber_{number}", plan, radius).volume
+            faces = _faces_that_cut(plan, self.width, self.depth)
+            volume += bed.lay(f"fiber_{number}", plan, radius, faces).volume
             enough = number == count
             enough |= self.areal_density is not None and volume >= self.areal_density * self.area
             enough |= self.thickness is not None and bed.top >= self.thickness
@@ -277,6 +281,17 @@ def _cut(line: Array, width: float, depth: float) -> Array | None:
         pieces[-1].append(end)
     whole = [np.array(piece) for piece in pieces if len(piece) > 1]
     return max(whole, key=_length) if whole else None
+
+
+def _faces_that_cut(plan: Array, width: float, depth: float) -> Faces:
+    """The faces of the box in which the ends of points (n, 2) lie; at an edge of the box the one it goes through."""
+    found: list[Face | None] = []
+    for end, inner in ((plan[0], plan[1]), (plan[-1], plan[-2])):
+        outward = end - inner
+        faces = [Face(k, side, 1 if side else -1) for k, far in enumerate((width, depth)) for side in (0.0, far)]
+        here = [f for f in faces if abs(end[f.axis] - f.where) <= 1e-9 * max(width, depth)]
+        found.append(max(here, key=lambda f: f.outside * outward[f.axis], default=None))
+    return found[0], found[1]
 
 
 def _box_faces(width: float, depth: float) -> dict[str, tuple[int, float]]:

@@ -11,7 +11,7 @@ import gmsh
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.centre_lines import Fiber
+from meshes.centre_lines import FLUSH_SHARE, RAMP, Face, Fiber
 from meshes.lattice import BOXES, GMSH_TYPE, SIMPLICES, merged
 from meshes.sections import Disc
 from meshes.sizes import Size
@@ -27,6 +27,7 @@ TETRAHEDRA = (
     ((0, 0), (0, 1), (1, 1), (2, 1)),
 )
 SIDE_TRIANGLES = (((0, 0), (1, 0), (1, 1)), ((0, 0), (0, 1), (1, 1)))
+TURNS = 60  # of Newton's method to where each point meets the face; a straight fiber takes two
 
 
 @dataclass(frozen=True)
@@ -74,10 +75,16 @@ class Swept:
 
 
 def sweep(section: Section, fiber: Fiber, along: Array, tensor: bool) -> Swept:
-    """The section carried along a fiber through the parameters `along` (order * layers + 1,) of its centre line."""
+    """The section carried along a fiber through the parameters `along` (order * layers + 1,) of its centre line.
+
+    Towards an end that is flush with a face the sections turn little by little into the face.
+    """
     order, width = section.order, len(section.points)
     origin, s, t = frames(fiber, along)
     x = origin[:, None] + section.points[:, :1] * s[:, None] + section.points[:, 1:] * t[:, None]
+    for end, face in enumerate(fiber.faces):
+        if face is not None:
+            _turn_into(face, end, x, section, fiber, along, t)
     levels = order * np.arange((len(along) - 1) // order)
     cell, lateral, end = (_bricks if tensor else _tetrahedra)(section)
 
@@ -107,6 +114,40 @@ def frames(fiber: Fiber, along: Array) -> tuple[Array, Array, Array]:
         square = turn @ turn
         t[i + 1] = mirrored - (2.0 * (turn @ mirrored) / square * turn if square > 0.0 else 0.0)
     return x, np.cross(t, tangent), t
+
+
+def _turn_into(face: Face, end: int, x: Array, section: Section, fiber: Fiber, along: Array, t: Array) -> None:
+    """Move the nodes x (levels, points, 3) along the fiber so that its last sections turn into a face that cuts it.
+
+    Every point moves on its own line along the fiber, so that its surface stays the tube that it is.
+    """
+    last, inward, beyond = -end, FLUSH_SHARE * fiber.length, fiber.overhang(end)
+    limits = (-inward, beyond) if end else (-beyond, inward)
+
+    def places(levels: Integers, by: Array) -> tuple[Array, Array]:
+        center, slope = fiber.at(along[levels, None] + by)
+        tangent = slope / np.linalg.norm(slope, axis=-1, keepdims=True)
+        up = t[levels, None] - (t[levels, None] * tangent).sum(axis=-1, keepdims=True) * tangent
+        up /= np.linalg.norm(up, axis=-1, keepdims=True)
+        return center + section.points[:, :1] * np.cross(up, tangent) + section.points[:, 1:] * up, slope
+
+    by = np.zeros((1, len(section.points)))
+    here = np.arange(len(along))[[last]]
+    for _ in range(TURNS):
+        found, slope = places(here, by)
+        off = face.where - found[..., face.axis]
+        by = np.clip(by + off / slope[..., face.axis], *limits)
+        if abs(off).max() < 1e-13 * fiber.length:
+            break
+    furthest = abs(by).max()
+    if furthest > 0.0:
+        zone = min(RAMP * furthest, 0.5 * fiber.length)
+        share = np.clip(1.0 - abs(along - along[last]) / zone, 0.0, 1.0)
+        order = section.order
+        share = np.interp(np.arange(len(along)) / order, np.arange(len(along[::order])), share[::order])
+        near = np.flatnonzero(share)
+        x[near] = places(near, share[near, None] * by)[0]
+    x[last, :, face.axis] = face.where
 
 
 def add(swept: Swept, order: int, tensor: bool, first_node: int) -> tuple[int, int, tuple[int, int]]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
+from scipy.spatial import cKDTree
 
 from app.scene import Scene, SceneError
 from meshes.body_mesh import arrays_of
-from meshes.centre_lines import Fiber, crossings, segment_distances
+from meshes.centre_lines import Face, Fiber, crossings, segment_distances
 from meshes.fiber_shape import FiberShape
 from meshes.gmsh_model import MeshError
 from meshes.laying import Bed
@@ -141,6 +144,120 @@ def test_swept_fibers_are_closed_bodies_of_sound_cells(name: str, cells: str, or
     named = np.unique(np.sort(arrays.facets[:, :corners], axis=1), axis=0)
     np.testing.assert_array_equal(unique[count == 1], named)
     assert measures(arrays) == pytest.approx(sum(fiber.volume for fiber in shape.fibers), rel=0.06)
+
+
+BOXED = {
+    "plies": CrossPly(angles=[0.0, 50.0, 110.0], width=5.0, depth=6.0),
+    "stiff": Mat(width=9.0, depth=9.0, count=9, seed=1),
+    "bending": Mat(width=8.0, depth=8.0, count=8, bend_radius=3.0, radius_spread=0.1),
+    "wavy": Mat(width=8.0, depth=8.0, count=6, wave_length=5.0, wave_amplitude=0.2, bend_radius=4.0, seed=2),
+}
+
+
+def flush_ends(shape: FiberShape) -> list[tuple[int, Fiber, int]]:
+    """Number of the body, fiber and end (0 or 1) of every end that is flush with a face of the box."""
+    ends = [(i, fiber, end) for i, fiber in enumerate(shape.fibers) for end in (0, 1)]
+    return [(i, fiber, end) for i, fiber, end in ends if fiber.faces[end] is not None]
+
+
+def caps(arrays: Arrays, body: int, group: str) -> NDArray[np.int64]:
+    """Facets of a group that belong to a body, (m, nodes)."""
+    number = arrays.facet_groups.index(group)
+    inside = np.array([number in groups for groups in arrays.combinations])[arrays.facet_values]
+    mine = np.isin(arrays.facets, arrays.cells[arrays.cell_body == body]).all(axis=1)
+    return arrays.facets[inside & mine]
+
+
+def area(corners: NDArray[np.float64], quads: bool) -> float:
+    """Area of flat facets (m, corners, 3), those of quadrilaterals in DOLFINx order."""
+    sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    if quads:
+        sides = corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1]
+    return float(0.5 * np.linalg.norm(np.cross(*sides), axis=1).sum())
+
+
+def with_square_ends(shape: FiberShape) -> FiberShape:
+    """The same fibers, where they lie, without the faces that cut their ends."""
+    plain = shape.model_copy()
+    plain.__dict__["fibers"] = tuple(replace(fiber, faces=(None, None)) for fiber in shape.fibers)
+    return plain
+
+
+@pytest.mark.parametrize(("cells", "order"), KINDS)
+@pytest.mark.parametrize("name", BOXED)
+def test_ends_cut_by_the_box_lie_in_its_faces(name: str, cells: str, order: int) -> None:
+    """All nodes of a cap lie in the face; its area is that of the section over the cosine, the volume as it was."""
+    shape, sizes = BOXED[name], MeshSizes(0.4, 0.3, order, cells)
+    arrays, square = arrays_of(shape, sizes), arrays_of(with_square_ends(shape), sizes)
+    ends = flush_ends(shape)
+    assert len(ends) > 0.7 * 2 * len(shape.fibers)
+    for body, fiber, end in ends:
+        face, straight = fiber.faces[end], len(fiber.points) == 2
+        group = {(0, -1): "left", (0, 1): "right", (1, -1): "front", (1, 1): "back"}[face.axis, face.outside]
+        facets = caps(arrays, body, group)
+        x = arrays.x[facets]
+        assert len(facets) and abs(x[..., face.axis] - face.where).max() < 1e-9
+        mine = [replace(a, cells=a.cells[a.cell_body == body]) for a in (arrays, square)]
+        beyond = [(face.outside * (a.x[a.cells][..., face.axis] - face.where)).max() for a in mine]
+        slope = fiber.at(np.array(end * fiber.length))[1]
+        cosine = abs(slope[face.axis]) / np.linalg.norm(slope)
+        assert beyond[0] < 1e-9 and (beyond[1] > 0.01 or cosine > 0.99)
+        corners = 3 if cells == "simplex" else 4
+        found = area(x[:, :corners], cells == "tensor")
+        section = area(square.x[caps(square, body, group)][:, :corners], cells == "tensor")
+        assert section == pytest.approx(np.pi * fiber.radius**2, rel=0.08)
+        assert found == pytest.approx(section / cosine, rel=1e-9 if straight else 0.06)
+        assert measures(mine[0]) == pytest.approx(measures(mine[1]), rel=1e-9 if straight else 0.01)
+
+
+@pytest.mark.parametrize("name", BOXED)
+def test_no_node_of_a_fiber_lies_in_another(name: str) -> None:
+    """The tips of flush ends keep clear of the other fibers as their sides do."""
+    shape = BOXED[name]
+    arrays = arrays_of(shape, MeshSizes(0.2, 0.2, 1, "tensor"))
+    bent = 0.005 if name in ("bending", "wavy") else 0.0  # centre lines are measured along chords
+    for i, fiber in enumerate(shape.fibers):
+        first, last = (fiber.overhang(end) if fiber.faces[end] else 0.0 for end in (0, 1))
+        tree = cKDTree(fiber.at(np.linspace(-first, fiber.length + last, 4000))[0])
+        others = arrays.x[np.unique(arrays.cells[arrays.cell_body != i])]
+        for face in filter(None, fiber.faces):
+            others = others[face.outside * (others[:, face.axis] - face.where) < 1e-9]
+        assert tree.query(others)[0].min() > (1.0 - bent) * fiber.radius - 1e-6
+
+
+def test_a_fiber_that_grazes_a_face_or_bends_there_keeps_its_square_end() -> None:
+    def cut(angle: float, length: float, height: float = 0.0) -> tuple[Face | None, Face | None]:
+        a = np.radians(angle)
+        plan = length * np.array([[0.0, 0.0], [np.cos(a), np.sin(a)]])
+        points = np.column_stack([plan, [0.5, 0.5 + height]])
+        return Fiber("a", points, 0.5, (Face(0, 0.0, -1), None)).flush().faces
+
+    face = Face(0, 0.0, -1)
+    assert cut(0.0, 4.0) == cut(45.0, 4.0) == cut(69.0, 8.0) == (face, None)
+    assert cut(71.0, 8.0) == cut(60.0, 2.0) == cut(69.0, 8.0, 8.0) == (None, None)
+    hook = np.array([[0.0, 0.0, 0.5], [0.5, 0.6, 0.5], [1.5, 0.6, 0.5], [4.0, 0.6, 0.5]])
+    assert Fiber("a", hook, 0.5, (face, None)).flush().faces == (None, None)
+    shape = Mat(width=20.0, depth=20.0, count=18)
+    assert len(flush_ends(shape)) == 2 * 18 - 1 and shape.fibers[17].faces[0] is None
+    arrays = arrays_of(shape, MeshSizes(0.5, 0.5, 1, "tensor"))
+    assert np.ptp(arrays.x[caps(arrays, 17, "left")][..., 0]) > 0.9  # it belongs to the face all the same
+
+
+def test_a_tip_is_laid_clear_of_the_fiber_beside_it() -> None:
+    """Beyond its last section a fiber cut at 60 degrees has a tip, which must rest on what square ends would miss."""
+    face = Face(0, 0.0, -1)
+    along = np.array([np.cos(np.pi / 3), -np.sin(np.pi / 3)])
+
+    def laid(cut: Face | None) -> Fiber:
+        bed = Bed(None, 0.0)
+        bed.lay("a", np.array([[0.0, 1.6], [8.0, 1.6]]), 0.5)
+        return bed.lay("b", np.array([[0.0, 0.0], 6.0 * along]), 0.5, (cut, None))
+
+    assert laid(None).points[0, 2] == pytest.approx(0.5)
+    tip = laid(face)
+    assert tip.faces == (face, None)
+    np.testing.assert_allclose(tip.cap(0)[1], [0.0, 1.0, 0.0], atol=1e-12)
+    assert 0.5 < tip.points[0, 2] < 1.5
 
 
 def test_a_straight_fiber_of_second_order_has_its_exact_volume() -> None:
