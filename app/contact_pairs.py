@@ -228,8 +228,9 @@ def _pass(
     electric = permittivity if all(m.electric for m in materials) else None
     law = _interface_law(keys, size, stiffness, electric, model)
     depth, share, cuts = _depth(model, slave, master), 1.0 / keys.passes, keys.method == "segment"
+    own_depth = 0.5 * float(_fiber_thickness(model).min()) if keys.self_contact else depth
     clumps = slave_clump, master_clump, rule
-    return ContactPass(number, slave, master, *clumps, points, law, share, first, size, depth, cuts)
+    return ContactPass(number, slave, master, *clumps, points, law, share, first, size, depth, own_depth, cuts)
 
 
 def _interface_law(

@@ -65,7 +65,7 @@ class ContactPass:
     search to search. The last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet,
     and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`.
     size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
-    its far side and meets nothing.
+    its far side and meets nothing; own_depth: the same in its own part, thinner than it seems if it is bent.
 
     With `segments`, points are those of the slave facets' pieces, anew at every pairing; penalties and adhesion are a
     facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
@@ -83,6 +83,7 @@ class ContactPass:
     first: bool
     size: Array
     depth: float
+    own_depth: float
     segments: bool = False
     meets: NDArray[np.bool_] = field(init=False)
     history: History = field(init=False)

@@ -75,8 +75,6 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.b
     normals = np.zeros_like(points)
     normals[lost] = point_normals(kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own])
     p.facet[lost], p.clear[lost] = -1, -np.inf
-    depth = max(p.depth, search.depth)
-    far = max(search.far, depth)
     least = np.full(len(p.rows), np.inf)  # gap of the partner
     away = np.full(len(p.rows), np.inf)  # least distance of the partner's clump, plus approach
     clear = np.full(len(p.rows), np.inf)  # and of all others
@@ -85,8 +83,10 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.b
         if not len(tried):
             continue
         nodes, orientation, key = p.master_at(position, facets), p.visible.orientation[facets], p.visible.key[facets]
-        pairs = own.of_points(p.points.facet[p.rows[tried]]) if own is not None else None
-        given = points[tried], normals[tried], nodes, orientation, key, far, depth, pairs
+        pairs, depth = None, max(p.depth, search.depth)
+        if own is not None:
+            pairs, depth = own.of_points(p.points.facet[p.rows[tried]]), max(p.own_depth, search.depth)
+        given = points[tried], normals[tried], nodes, orientation, key, max(search.far, depth), depth, pairs
         found, xi, off = closest_facets(kind, *given)
         off += p.approach[tried] - search.drift
         met = np.flatnonzero(found >= 0)
