@@ -14,12 +14,17 @@ from petsc4py import PETSc
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+CHUNK = 100_000  # blocks
+
 
 class TangentMatrix:
     """Bulk + contact in one AIJ matrix, the fixed unknowns eliminated symmetrically. Every method is collective."""
 
     def __init__(self, comm: MPI.Comm, bulk: PETSc.Mat, block: int, fixed: NDArray[np.int32]) -> None:
-        """`bulk` has full blocks of `block` unknowns a node; `fixed` are this rank's fixed rows (global numbers)."""
+        """`bulk` has full blocks of `block` unknowns a node; `fixed` are this rank's fixed rows (global numbers).
+
+        The bulk's values are read where they are wanted and not copied: it must live as long as this.
+        """
         self.comm = comm
         self.block = block
         self.fixed = fixed
@@ -32,22 +37,21 @@ class TangentMatrix:
         pointer, columns, _ = bulk.getValuesCSR()
         rows = np.repeat(np.arange(self._nodes), np.diff(pointer[::block]) // block**2)
         first_rows = _ranges(pointer[:-1:block], np.diff(pointer)[::block])
-        self._bulk_keys = rows * self._total + columns[first_rows[::block]].astype(np.int64) // block
-        self.forget_pattern()
-        self._find_rows()
-        # Of the bulk's values: row by row there, block by block here.
-        self._bulk_order = self._places(self._bulk_keys).astype(PETSc.IntType)
+        keys = rows * self._total + columns[first_rows[::block]].astype(np.int64) // block
+        self._bulk_pattern = _Pattern(keys, self._nodes, self._total, block)
         self.matrix: PETSc.Mat | None = None
+        self.forget_pattern()
         self.set_bulk(bulk)
 
     def set_bulk(self, bulk: PETSc.Mat) -> None:
-        """Take over the bulk's values."""
-        self._bulk_blocks = bulk.getValuesCSR()[2][self._bulk_order]
+        """Take over the bulk's values in the next `assemble`."""
+        self._bulk = bulk
         self._bulk_is_new = True
 
     def forget_pattern(self) -> None:
         """Drop the places of past contacts: the next `assemble` starts from the bulk's pattern."""
-        self._keys = self._bulk_keys
+        self._pattern = self._bulk_pattern
+        self._rows = np.zeros(0, np.int64)  # local nodes in whose rows contact may come
         self._pattern_is_new = True
 
     def assemble(self, nodes: Integers, matrices: Array, reserve: Integers) -> tuple[PETSc.Mat, bool]:
@@ -57,12 +61,15 @@ class TangentMatrix:
         sets of pairs that may soon be in contact and should have places already.
         """
         keys, blocks = self._collect(nodes, matrices)
-        if self._pattern_is_new:
+        fresh = self._pattern_is_new
+        if fresh:
             self._grow(np.union1d(keys, self._collect_keys(reserve)))
-        elif self.comm.allreduce(bool(len(np.setdiff1d(keys, self._keys))), op=MPI.LOR):
+        elif self.comm.allreduce(not self._has_places(keys), op=MPI.LOR):
             self._grow(keys)
-        self._write(keys, blocks)
-        fresh, self._pattern_is_new = self._pattern_is_new, False
+            fresh = True
+        if fresh or self._bulk_is_new:
+            self._write_bulk(fresh)
+        self._write_contact(keys, blocks)
         return self.matrix, fresh
 
     def eliminate(self) -> None:
@@ -94,59 +101,81 @@ class TangentMatrix:
             )
         return keys - self._first * self._total, blocks.reshape(-1, b, b)
 
-    def _grow(self, keys: Integers) -> None:
-        self._keys = np.union1d(self._keys, keys)
-        self._pattern_is_new = True
+    def _has_places(self, keys: Integers) -> bool:
+        return bool(np.isin(keys, self._pattern.keys).all() and np.isin(keys // self._total, self._rows).all())
 
-    def _write(self, keys: Integers, blocks: Array) -> None:
-        b = self.block
-        if self._pattern_is_new:
-            self._find_rows()
-            row_length = np.repeat(np.diff(self._row_start) * b, b)
-            self._pointer = np.concatenate([[0], np.cumsum(row_length)]).astype(PETSc.IntType)
-            node_columns = (self._keys % self._total)[:, None] * b + np.arange(b)
-            spans = _ranges(np.repeat(self._row_start[:-1] * b, b), row_length)
-            self._columns = node_columns.ravel()[spans].astype(PETSc.IntType)
+    def _grow(self, keys: Integers) -> None:
+        keys_now = np.union1d(self._pattern.keys, keys)
+        self._pattern = _Pattern(keys_now, self._nodes, self._total, self.block)
+        self._rows = np.union1d(self._rows, keys // self._total)
+
+    def _write_bulk(self, fresh: bool) -> None:
+        """Write the bulk into the matrix, a new one if its pattern is; keep it in the rows of contact."""
+        b, pattern = self.block, self._pattern
+        bulk = self._bulk.getValuesCSR()[2]
+        values = np.zeros(pattern.pointer[-1])
+        if fresh:
+            self._columns = np.zeros(len(values), PETSc.IntType)
             self._touched = np.zeros(0, np.int64)
-        if self._pattern_is_new or self._bulk_is_new:
-            self._base = np.zeros(len(self._columns))
-            self._base[self._places(self._bulk_keys)] = self._bulk_blocks
-        if self._pattern_is_new:
-            if self.matrix is not None:
-                self.matrix.destroy()  # for Python: who solves with it holds it as long as it needs it
-            self.matrix = PETSc.Mat().createAIJ(
-                self._sizes, bsize=b, csr=(self._pointer, self._columns, self._base), comm=self.comm
-            )
-            self.rebuilds += 1
-        elif self._bulk_is_new:
-            self.matrix.setValuesCSR(self._pointer, self._columns, self._base)
+        for keys in self._bulk_pattern.chunks():
+            values[pattern.places(keys)] = bulk[self._bulk_pattern.places(keys)]
+        for keys in pattern.chunks() if fresh else ():
+            self._columns[pattern.places(keys)] = ((keys % self._total)[:, None] * b + np.arange(b))[:, None]
+        del bulk
+        csr = pattern.pointer, self._columns, values
+        if self.matrix is None:
+            self.matrix = PETSc.Mat().createAIJ(self._sizes, bsize=b, csr=csr, comm=self.comm)
+        elif fresh:
+            self.matrix.setPreallocationCSR(csr)
+        else:
+            self.matrix.setValuesCSR(*csr)
+        self.rebuilds += fresh
+        first, last = pattern.pointer[self._rows * b], pattern.pointer[(self._rows + 1) * b]
+        self._base = values[_ranges(first, last - first)]
+        # From a place in the matrix's CSR data to the one in these rows alone.
+        self._shift = np.zeros(self._nodes, np.int64)
+        self._shift[self._rows] = np.cumsum(last - first) - last
+        self._pattern_is_new = self._bulk_is_new = False
+
+    def _write_contact(self, keys: Integers, blocks: Array) -> None:
+        """Write the rows that contact touches, or did when it was written last."""
+        b = self.block
         rows = np.unique(np.concatenate([self._touched, keys // self._total]))
         scalar_rows = (rows[:, None] * b + np.arange(b)).ravel()
-        lengths = np.diff(self._pointer)[scalar_rows]
-        spans = _ranges(self._pointer[scalar_rows], lengths)
-        places = self._places(keys).ravel()
+        lengths = np.diff(self._pattern.pointer)[scalar_rows]
+        spans = _ranges(self._pattern.pointer[scalar_rows], lengths)
+        of_base = spans + np.repeat(np.repeat(self._shift[rows], b), lengths)
+        places = (self._pattern.places(keys) + self._shift[keys // self._total][:, None, None]).ravel()
         bulk = self._base[places]
         self._base[places] += blocks.ravel()
         pointer = np.concatenate([[0], np.cumsum(lengths)]).astype(PETSc.IntType)
         rowmap = (scalar_rows + self._first * b).astype(PETSc.IntType)
-        self.matrix.setValuesIJV(pointer, self._columns[spans], self._base[spans], rowmap=rowmap)
+        self.matrix.setValuesIJV(pointer, self._columns[spans], self._base[of_base], rowmap=rowmap)
         self._base[places] = bulk
         self.matrix.assemble()
-        self._bulk_is_new = False
         self._touched = np.unique(keys // self._total)
 
-    def _find_rows(self) -> None:
-        """Where the blocks of each row begin among the present keys."""
-        count = np.bincount(self._keys // self._total, minlength=self._nodes)
-        self._row_start = np.concatenate([[0], np.cumsum(count)])
 
-    def _places(self, keys: Integers) -> Integers:
-        """Where the entries of the blocks with these local keys stand in the CSR data, (k, b, b)."""
-        b = self.block
-        index = np.searchsorted(self._keys, keys)
+class _Pattern:
+    """Blocks of a matrix in CSR data: their keys (k,), row * total + column, sorted; the scalar rows' pointer."""
+
+    def __init__(self, keys: Integers, rows: int, total: int, block: int) -> None:
+        self.keys, self._total, self._block = keys, total, block
+        count = np.bincount(keys // total, minlength=rows)
+        self._start = np.concatenate([[0], np.cumsum(count)])
+        self.pointer = np.concatenate([[0], np.cumsum(np.repeat(count * block, block))]).astype(PETSc.IntType)
+
+    def chunks(self) -> list[Integers]:
+        """The keys, a part at a time: what is made from all of them at once is larger than the matrix."""
+        return np.split(self.keys, np.arange(CHUNK, len(self.keys), CHUNK))
+
+    def places(self, keys: Integers) -> Integers:
+        """Where the entries of the blocks with these keys stand, (k, b, b)."""
+        b = self._block
+        index = np.searchsorted(self.keys, keys)
         row = keys // self._total
-        start = self._row_start[row]
-        length = (self._row_start[row + 1] - start) * b
+        start = self._start[row]
+        length = (self._start[row + 1] - start) * b
         first = b * b * start + (index - start) * b
         return first[:, None, None] + np.arange(b)[:, None] * length[:, None, None] + np.arange(b)
 

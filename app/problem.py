@@ -16,6 +16,7 @@ from app import fenicsx, reductions
 from app.contact import Contact
 from app.contact_terms import ContactTerms
 from app.matrix import TangentMatrix
+from app.memory import give_back_memory
 from app.model import Model
 from app.timing import Timer
 from forms.energy import grounding_form, stored_energies
@@ -93,6 +94,7 @@ class Problem:
         PETSc.garbage_cleanup(self.comm)
         PETSc.garbage_cleanup(self.state.comm.tompi4py())
         PETSc.garbage_cleanup(MPI.COMM_SELF)
+        give_back_memory()
 
     def close(self) -> None:
         """Destroy the matrices; state and contact can still be looked at."""

@@ -51,7 +51,6 @@ class Newton:
         self._reference = np.zeros(1 + problem.model.electric)
         self._repair = False
         self._linear_solve = ExitStack()
-        self._past_operators: list[PETSc.Mat] = []
         self._springs = Springs(problem, self._solve)
         prefix = next(PREFIXES)
         self.linear = linear_solver(problem, keys)
@@ -77,8 +76,6 @@ class Newton:
             options.delValue(name)
         # SNES holds methods of this solver: with newer PETSc Python cannot find that the two hold only each other.
         self.snes.getDict().clear()
-        for matrix in self._past_operators:
-            matrix.destroy()
         self.linear.close()
         self.snes.destroy()
 
@@ -267,10 +264,6 @@ class Newton:
             self.linear.condensation.hold(x)
         if [matrix.handle for matrix in self._operators] != [a.handle, p.handle]:
             snes.setJacobian(self._tangent, *self._operators)
-        # References to what SNES had, which PETSc still needs in this call; Python would keep them for the whole step.
-        for matrix in self._past_operators:
-            matrix.destroy()
-        self._past_operators = [a, p]
         self._linear_solve.enter_context(self.problem.timer("linear_solve"))
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
