@@ -15,6 +15,7 @@ from app import reductions
 from app.contact_pass import LARGEST_SHAPE, ContactPass, Pairs
 from app.contact_terms import ContactTerms, no_terms, terms_of_pass, terms_of_plane
 from app.exchange import Exchange
+from app.foresight import foresee
 from app.nodal_state import NodalState
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
@@ -183,7 +184,7 @@ class Contact:
         same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
         self._partners_at = position
         potentials = values[:, self.dim] if self.potential_scale is not None else None
-        at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls, self._exact)
+        at = self._at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls, self._exact)
         try:
             if not same:
                 for p in self.passes:
@@ -222,6 +223,18 @@ class Contact:
         before = self._reference + self._paired_at
         slid = any(p.segments and p.has_slid(before, p.law.reach) for p in self.passes)
         return self.comm.allreduce(slid, op=MPI.LOR)
+
+    def foresee(self, change: PETSc.Vec) -> Array:
+        """Answer from now on as after this change of the state of the last evaluation.
+
+        Norms (2,) of forces and charges that the last answer did not lead to expect; NaN where facets have collapsed.
+        """
+        return np.sqrt(reductions.total(self.comm, foresee(self.every, self._at, self._gather(change))))
+
+    def end_foresight(self) -> None:
+        """Answer again at the states that are evaluated."""
+        for p in self.every:
+            p.foreseen = None
 
     def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
         """Add the terms' vectors to a distributed residual."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from app.nodal_state import NodalState
 from forms.contact.augmentation import Shift
 from forms.contact.gap import Projection, project
-from forms.contact.integrals import SlavePoints
+from forms.contact.integrals import SlavePoints, first_changes
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from forms.contact.segments import Facets, nearest_points, segment_points
 from forms.contact.smoothing import rounded, spread
@@ -63,7 +64,8 @@ class ContactPass:
     `found_beyond` the share of a facet by which a point that did not touch was beyond its partner when that was found;
     all else is further off than `clear` - `approach` (um), which is how much nearer things may have come, growing from
     search to search. The last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet,
-    and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`.
+    and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`. foreseen (2, m): changes of
+    gap and jump after which the law is to answer, see `foresight`.
     size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
     its far side and meets nothing; own_depth: the same in its own part, thinner than it seems if it is bent.
 
@@ -108,6 +110,7 @@ class ContactPass:
     jump: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
     position: Array = field(init=False)
+    foreseen: Array | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         first = np.searchsorted(self.points.facet, np.arange(len(self.slave)))
@@ -210,6 +213,18 @@ class ContactPass:
             spread(kind, potentials[self.slave_nodes[slave]], self.slave.rounding[slave]),
             spread(kind, potentials[self.master_nodes[master]], self.visible.rounding[master]),
         )
+
+    def first_changes(self, at: NodalState, change: Array) -> Array:
+        """First-order changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
+        rows, partner = self.rows[self.met], self.facet[self.met]
+        facet, there = self.points.facet[rows], None
+        if self.jump is not None:
+            there = self.potentials_at(at.potentials, facet, partner)[1]
+        nodes = np.concatenate([self.slave_nodes[facet], self.master_nodes[partner]], axis=1)
+        roundings = self.slave.rounding[facet], self.visible.rounding[partner]
+        kind, shape = self.slave.kind, self.points.shape[rows]
+        changes = first_changes(kind, self.projection, shape, change[nodes], there, roundings=roundings)
+        return changes * [[1.0], [at.scale or 0.0]]
 
     def has_slid(self, before: Array, reach: float) -> bool:
         """Whether points that answer have slid since the nodes were at `before`, or are on facets never cut."""

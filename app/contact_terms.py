@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.contact_pass import ContactPass
+from app.foresight import answer, first_answer
 from app.nodal_state import NodalState
 from app.planes import PlanePass
-from forms.contact.augmentation import respond
 from forms.contact.integrals import contact_vectors
 from forms.contact.laws import Response
 
@@ -42,30 +42,30 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: boo
     dragged: whether the pass's drag counts.
     """
     kind, rows, partner = p.slave.kind, p.rows[p.met], p.facet[p.met]
-    facet, xi, shape, law = p.points.facet[rows], p.points.xi[rows], p.points.shape[rows], p.law[rows]
+    facet, xi, shape = p.points.facet[rows], p.points.xi[rows], p.points.shape[rows]
     p.jump = None
-    if at.potentials is not None and law.electric_penalty is not None:
+    if at.potentials is not None and p.law.electric_penalty is not None:
         here, there = p.potentials_at(at.potentials, facet, partner)
         p.jump = np.einsum("mk,mk->m", shape, here)
         p.jump = at.scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
-    shift = p.shift.at(kind, facet, xi)
-    p.gap = p.projection.gap + shift[0]
-    history, pulls, exact = p.history[rows], at.pulls, at.exact
-    r = p.response = respond(law, p.projection.gap, p.jump, history, shift, pulls=pulls, exact=exact)
+    p.gap = p.projection.gap + p.shift.at(kind, facet, xi)[0]
+    r = p.response = answer(p, at)
     if dragged:
         r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
         r.curvature = r.curvature + p.drag.stiffness[rows]
     active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
-    scaled = r
+    scaled, (slope, charge) = r, first_answer(p)
     if p.jump is not None:
         scaled = Response(**{**r.__dict__, "charge": at.scale * r.charge, "mixed": at.scale * r.mixed})
         scaled.electric_curvature = at.scale**2 * r.electric_curvature
+        charge = at.scale * charge
     scaled = Response(**{name: value[active] for name, value in scaled.__dict__.items()})
     vectors, matrices = contact_vectors(
         kind,
         p.projection[active],
         shape[active],
         p.share * p.points.weight[rows][active],
+        (slope[active], charge[active]),
         scaled,
         at.components,
         there[active] if p.jump is not None else None,

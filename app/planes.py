@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from app.foresight import answer, first_answer
 from app.nodal_state import NodalState
 from app.scene_sections import Plane
-from forms.contact.augmentation import Shift, respond
+from forms.contact.augmentation import Shift
 from forms.contact.gap import point_normals
 from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
@@ -69,6 +70,7 @@ class PlanePass:
     response: Response | None = field(init=False, default=None)
     jump: Array | None = field(init=False, default=None)
     surface_potential: Array | None = field(init=False, default=None)
+    foreseen: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
     last_offset: Array = field(init=False)
     charge: float = field(init=False, default=0.0)
@@ -156,10 +158,8 @@ class PlanePass:
             )
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
-        shift = self.shift.at(self.slave.kind, facet, self.points.xi[rows])
-        self.gap = gap + shift[0]
-        law, history = self.law[rows], self.history[rows]
-        r = self.response = respond(law, gap, self.jump, history, shift, pulls=at.pulls, exact=at.exact)
+        self.gap = gap + self.shift.at(kind, facet, self.points.xi[rows])[0]
+        r = self.response = answer(self, at)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)
@@ -172,7 +172,7 @@ class PlanePass:
         if self.jump is not None:
             first[:, 1, :, d] = at.scale * shape
         first = to_corners(kind, first, offsets[active])
-        slopes = np.stack([r.slope, r.charge], axis=1)[active]
+        slopes = np.stack(first_answer(self), axis=1)[active]
         vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
         if not tangent:
             return facet[active], nodes, vectors, None
@@ -180,6 +180,17 @@ class PlanePass:
         flat = first.reshape(m, 2, nodes.shape[1] * at.components)
         matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
         return facet[active], nodes, vectors, matrices
+
+    def first_changes(self, at: NodalState, change: Array) -> Array:
+        """Changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
+        facet, kind, d = self.points.facet[self.rows], self.slave.kind, len(self.normal)
+        shape, nodes, offsets = self.points.shape[self.rows], self.slave_nodes[facet], self.slave.rounding[facet]
+        before, after = (rounded(kind, x[nodes], offsets) for x in (at.position, at.position + change[:, :d]))
+        changes = np.zeros((2, len(self.rows)))
+        changes[0] = np.einsum("mk,mkd,d->m", shape, after - before, self.normal)
+        if self.jump is not None:
+            changes[1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))
+        return changes
 
     def _gap(self, points: Array) -> Array:
         return (points - self.start - self.offset) @ self.normal

@@ -179,6 +179,12 @@ class Problem:
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)
 
+    def contact_after(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = contact's share of the residual after a change of the state, as the last `linearize` tells it."""
+        result.set(0.0)
+        self.contact.add_residual(self._terms, result)
+        self.contact.add_product(self._terms, change, result)
+
     def fixed_change(self) -> PETSc.Vec:
         """How far the fixed unknowns are from where this load level wants them, zero elsewhere."""
         change = self.state.duplicate()

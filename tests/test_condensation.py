@@ -15,6 +15,7 @@ from app.schur import SchurFactors
 from app.simulation import run
 from tests.histories import assert_equal
 
+EFFORT = ("newton", "krylov")  # less where it is condensed: see `app.foresight`
 WHOLE = {"petsc": {"mat_mumps_icntl_14": 60}}  # a word on the factorization asks for that of the whole
 
 
@@ -64,8 +65,7 @@ def test_schur_complements_and_solution() -> None:
 def test_the_same_history_as_with_the_whole_tangent(dimension: int, comm: MPI.Comm) -> None:
     condensed = run(pressed(dimension), comm).history
     whole = run(pressed(dimension, solver={"tolerance": 1e-11, **WHOLE}), comm).history
-    assert [row["newton"] for row in condensed] == [row["newton"] for row in whole]
-    assert_equal(condensed, whole)
+    assert_equal(condensed, whole, EFFORT)
 
 
 @pytest.mark.mpi
@@ -81,7 +81,7 @@ def test_candidates_grow_with_the_contact(comm: MPI.Comm, monkeypatch: pytest.Mo
     monkeypatch.setattr(Condensation, "_condense", counted)
     boundaries = [
         {"on": "bottom", "displacement": [0, 0], "potential": 0},
-        {"on": "top", "displacement": [0, "free"], "traction": [0, -60.0], "follows": "press"},
+        {"on": "top", "displacement": [0, "free"], "traction": [0, -240.0], "follows": "press"},
     ]
     run(pressed(2, mesh={"size": 0.15, "contact_size": 0.02}, boundaries=boundaries), comm)
     assert len(set(counts)) > 1 and counts == sorted(counts)
@@ -91,4 +91,4 @@ def test_candidates_grow_with_the_contact(comm: MPI.Comm, monkeypatch: pytest.Mo
 def test_too_many_candidates_fall_back_on_the_whole(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     reference = run(pressed(2), comm).history
     monkeypatch.setattr(linear, "CONDENSED_LIMIT", 20)
-    assert_equal(run(pressed(2), comm).history, reference)
+    assert_equal(run(pressed(2), comm).history, reference, EFFORT)

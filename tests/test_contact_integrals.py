@@ -151,12 +151,14 @@ class Batch(PairBatch):
         return float(self.weight @ (r.contact + r.adhesion + r.dissipated - r.electric))
 
     def terms(self, q: Array, *, tangent: bool) -> tuple[Array, Array | None]:
+        r = self.respond(q)
         return contact_vectors(
             self.kind,
             self.project(q),
             self.slave_shape,
             self.weight,
-            self.respond(q),
+            (r.slope, r.charge),
+            r,
             self.components,
             self.potentials(q),
             tangent=tangent,

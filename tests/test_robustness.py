@@ -174,28 +174,29 @@ def facing_halves(penalty: float, steps: int = 5, **contact: Any) -> Scene:
 
 
 @pytest.mark.parametrize(
-    ("passes", "penalty", "force", "iterations"),
+    ("passes", "penalty", "force"),
     [
-        (1, 1e4, -32.316, 6),
-        (1, 1e5, -45.255, 7),
-        (1, 1e6, -47.162, 7),
-        (1, 1e7, -47.354, 8.5),
-        (1, 1e8, -47.372, 9),
-        (2, 1e4, -32.351, 6),
-        (2, 1e5, -45.263, 7),
-        (2, 1e6, -47.174, 7.5),
-        (2, 1e7, -47.369, 8.5),
-        (2, 1e8, -47.390, 11),
+        (1, 1e4, -32.316),
+        (1, 1e5, -45.255),
+        (1, 1e6, -47.162),
+        (1, 1e7, -47.354),
+        (1, 1e8, -47.372),
+        (2, 1e4, -32.351),
+        (2, 1e5, -45.263),
+        (2, 1e6, -47.174),
+        (2, 1e7, -47.369),
+        (2, 1e8, -47.390),
     ],
 )
-def test_no_penalty_is_too_stiff_or_too_soft(passes: int, penalty: float, force: float, iterations: float) -> None:
+def test_no_penalty_is_too_stiff_or_too_soft(passes: int, penalty: float, force: float) -> None:
     """Far from equilibrium the tangent was indefinite, and steps were cut or took twenty iterations.
 
-    Tractions turned with their facets, and the electric contact pulled at surfaces beyond the edge of the contact.
+    Tractions turned with their facets, and the electric contact pulled at surfaces beyond the edge of the contact. And
+    steps closed points that the next ones opened again, two at a time: ten iterations at the stiffest penalty.
     """
     history = run(facing_halves(penalty, passes=passes), MPI.COMM_SELF).history
     assert all(row["cutbacks"] == 0 for row in history)
-    assert sum(row["newton"] for row in history) <= iterations * len(history)
+    assert sum(row["newton"] for row in history) <= 5.5 * len(history)
     assert history[-1]["force_y@top"] == pytest.approx(force, rel=1e-4)
     one = run(facing_halves(penalty, steps=1, passes=passes), MPI.COMM_SELF).history[-1]
     assert one["force_y@top"] == pytest.approx(force, rel=1e-4)

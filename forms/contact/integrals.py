@@ -78,6 +78,7 @@ def contact_vectors(
     projection: Projection,
     slave_shape: Array,
     weight: Array,
+    first: tuple[Array, Array],
     response: Response,
     components: int,
     potentials: Array | None,
@@ -89,22 +90,19 @@ def contact_vectors(
     """Residual vectors (m, n_pair, c) and, if asked for, tangents (m, n_pair * c, n_pair * c) of contact points.
 
     The derivative of weight * enthalpy with respect to the pair's unknowns, slave nodes first. `response` is in terms
-    of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values. Not `turning`, the
+    of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values; the vectors are made
+    from slope and charge `first` (m,), which differ from the response's where that is foreseen. Not `turning`, the
     tangent leaves out that tractions turn with the facets. With the `roundings` (m, k, d) of slave and master facet the
     pair's nodes are their corners alone.
     """
     v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
-    first = response.slope[:, None] * v.gap
+    along = first[0][:, None] * v.gap
     if v.jump is not None:
-        first = first + response.charge[:, None] * v.jump
-    rows = v.rows
-    if roundings is not None and roundings[0].shape[1]:
-        n = len(kind.nodes)
-        sides = zip((rows[:, :, :n], rows[:, :, n:]), roundings, strict=True)
-        rows = np.concatenate([to_corners(kind, side, offsets) for side, offsets in sides], axis=2)
+        along = along + first[1][:, None] * v.jump
+    rows = _over_unknowns(kind, v.rows, roundings)
     m, r, nodes, _ = rows.shape
     rows = rows.reshape(m, r, nodes * components)
-    vectors = np.einsum("m,mr,mrn->mn", weight, first, rows).reshape(m, nodes, components)
+    vectors = np.einsum("m,mr,mrn->mn", weight, along, rows).reshape(m, nodes, components)
     if not tangent:
         return vectors, None
     matrix = response.slope[:, None, None] * v.gap2 if turning else np.zeros_like(v.gap2)
@@ -116,3 +114,31 @@ def contact_vectors(
         matrix += response.charge[:, None, None] * v.jump2
     matrix *= weight[:, None, None]
     return vectors, np.swapaxes(rows, 1, 2) @ (matrix @ rows)
+
+
+def first_changes(
+    kind: FacetKind,
+    projection: Projection,
+    slave_shape: Array,
+    change: Array,
+    potentials: Array | None,
+    *,
+    roundings: tuple[Array, Array] | None = None,
+) -> Array:
+    """First-order changes (2, m) of gap and jump with those (m, n_pair, c) of a pair's unknowns, slave nodes first.
+
+    The jump is that of the unknown; without the master's `potentials` (m, n) it does not change.
+    """
+    v = variations(kind, projection, slave_shape, change.shape[2], potentials, second=False)
+    along = np.einsum("mrnc,mnc->mr", _over_unknowns(kind, v.rows, roundings), change)
+    jump = np.zeros_like(v.gap) if v.jump is None else v.jump
+    return np.stack([np.einsum("mr,mr->m", first, along) for first in (v.gap, jump)])
+
+
+def _over_unknowns(kind: FacetKind, rows: Array, roundings: tuple[Array, Array] | None) -> Array:
+    """Rows (m, r, n_pair, c) over all nodes of pairs over those that have unknowns: the corners of rounded facets."""
+    if roundings is None or not roundings[0].shape[1]:
+        return rows
+    n = len(kind.nodes)
+    sides = zip((rows[:, :, :n], rows[:, :, n:]), roundings, strict=True)
+    return np.concatenate([to_corners(kind, side, offsets) for side, offsets in sides], axis=2)

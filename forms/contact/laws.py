@@ -208,6 +208,12 @@ class Response:
     electric: Array
     dissipated: Array
 
+    def after(self, change: Array) -> tuple[Array, Array]:
+        """Slope and charge after changes (2, m) of gap and jump, were they linear in both."""
+        gap, jump = change
+        slope = self.slope + self.curvature * gap + self.mixed * jump
+        return slope, self.charge + self.mixed * gap + self.electric_curvature * jump
+
 
 @dataclass(frozen=True)
 class InterfaceLaw:

@@ -1,0 +1,64 @@
+"""Foresight: what contact answers to a step before it is made, so that one step settles which points it closes.
+
+Contact laws bend sharply, gaps do not: a Newton step that lets the law go on along its tangent closes points that it
+should have opened, and the next one puts that right for a few of them. Here the gaps and jumps alone go along their
+tangent. The law answers at those that a step foresees, and the step is found anew from that answer until both agree:
+Newton's method within a step, on the nodes that may touch (a semismooth one; with a penalty that of the primal-dual
+active set, Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2003) 865-888).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.nodal_state import NodalState
+from forms.contact.augmentation import respond
+from forms.contact.laws import Response
+
+if TYPE_CHECKING:
+    from app.contact_pass import ContactPass
+    from app.planes import PlanePass
+
+Array = NDArray[np.float64]
+
+
+def answer(p: ContactPass | PlanePass, at: NodalState) -> Response:
+    """The law's response at the gaps and jumps of a pass's points, or at those that are foreseen."""
+    rows, kind = p.rows[p.met], p.slave.kind
+    shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
+    gap, jump = p.projection.gap, p.jump
+    if p.foreseen is not None:
+        gap, jump = gap + p.foreseen[0], None if jump is None else jump + p.foreseen[1]
+    return respond(p.law[rows], gap, jump, p.history[rows], shift, pulls=at.pulls, exact=at.exact)
+
+
+def first_answer(p: ContactPass | PlanePass) -> tuple[Array, Array]:
+    """Slope and charge of a pass's points from which a linear law leads to its last response, now or as foreseen."""
+    return (p.response.slope, p.response.charge) if p.foreseen is None else p.response.after(-p.foreseen)
+
+
+def foresee(passes: Sequence[ContactPass | PlanePass], at: NodalState, change: Array) -> Array:
+    """Let passes answer from now on as after a change (n, components) of their nodes' unknowns.
+
+    Sums (2,) of squares of forces and charges at points by which that differs from what the last responses led to
+    expect; not numbers where facets have collapsed, infinite where a change is wild.
+    """
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return sum((_foresee(p, at, change) for p in passes), np.zeros(2))
+    except np.linalg.LinAlgError:
+        return np.full(2, np.nan)
+
+
+def _foresee(p: ContactPass | PlanePass, at: NodalState, change: Array) -> Array:
+    last, before = p.response, p.foreseen
+    p.foreseen = p.first_changes(at, change)
+    slope, charge = last.after(p.foreseen if before is None else p.foreseen - before)
+    r = answer(p, at)
+    weight = p.share * p.points.weight[p.rows[p.met]]
+    scale = 1.0 if at.scale is None else at.scale
+    return np.array([((weight * (r.slope - slope)) ** 2).sum(), ((scale * weight * (r.charge - charge)) ** 2).sum()])

@@ -1,0 +1,119 @@
+"""Foresight: the changes of gap and jump, the residual as foreseen, and steps that know which points they close."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from app import solver
+from app.contact import Contact
+from app.contact_pairs import contact_of
+from app.model import Model
+from app.scene import Scene
+from app.simulation import run
+from forms.contact.integrals import first_changes
+from meshes.body_mesh import create
+from tests.facets import KINDS, PairBatch
+from tests.histories import assert_equal
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_first_changes_are_derivatives_of_gap_and_jump(name: str, rng: np.random.Generator) -> None:
+    batch = PairBatch(name, rng)
+    q, d, h = batch.unknowns, rng.uniform(-1.0, 1.0, batch.unknowns.shape), 1e-6
+    found = first_changes(batch.kind, batch.project(q), batch.slave_shape, d, batch.potentials(q))
+    gap = (batch.project(q + h * d).gap - batch.project(q - h * d).gap) / (2.0 * h)
+    jump = (batch.jump(q + h * d) - batch.jump(q - h * d)) / (2.0 * h)
+    np.testing.assert_allclose(found, [gap, jump], atol=1e-7)
+    mechanical = first_changes(batch.kind, batch.project(q), batch.slave_shape, d[..., : batch.dim], None)
+    np.testing.assert_allclose(mechanical, [gap, np.zeros_like(gap)], atol=1e-7)
+
+
+def askew(**mesh: Any) -> Scene:
+    """A disc with an electrode's plane askew through it."""
+    plane = {"name": "askew", "point": [0.1, 0.4], "normal": [0.6, 0.8], "potential": 2.0, "motion": [0.01, -0.02]}
+    return Scene(
+        geometry={"shape": "fiber_array", "columns": 1, "rows": 1},
+        mesh={"size": 0.3, **mesh},
+        bodies={"*": "pvdf"},
+        planes=[plane],
+        contact=None,
+    )
+
+
+def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Contact, Any, Any]:
+    """The scene's contact, paired at a random state, that state and a random change of it."""
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    contact = contact_of(model)
+    state, change = model.coordinate_vector(), model.coordinate_vector()
+    state.array[:], change.array[:] = 0.05 * rng.standard_normal((2, len(state.array)))
+    contact.pair(state, state.array_r.reshape(-1, model.block), model.coordinates, 10.0)
+    return contact, state, change
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_what_a_plane_answers_is_foreseen_exactly(order: int, comm: MPI.Comm, rng: np.random.Generator) -> None:
+    """Gaps and jumps are linear there: residual and tangent as foreseen lead to the residual after the change."""
+    contact, state, change = paired(askew(order=order), comm, rng)
+    for p in contact.planes:
+        p.law.fade[:] = 0.3  # points in the fading part of the electric law count too
+    contact.evaluate(state, tangent=True)
+    (p,) = contact.planes
+    unforeseen = contact.foresee(change)
+    terms = contact.evaluate(state, tangent=True)
+    assert np.abs(contact.foresee(change)).max() < 1e-12 * unforeseen.max()
+    found, expected = state.duplicate(), state.duplicate()
+    for vector in (found, expected):
+        vector.set(0.0)
+    contact.add_product(terms, change, found)
+    contact.add_residual(terms, found)
+    contact.end_foresight()
+    moved, at = state + change, p.projection.gap
+    contact.add_residual(contact.evaluate(moved, tangent=False), expected)
+    assert np.linalg.norm((found - expected).array) < 1e-12 * np.linalg.norm(expected.array)
+    closes = (at > 0.0) != (p.projection.gap > 0.0)
+    assert closes.any() and not closes.all() and unforeseen.min() > 0.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("penalty", [1e4, 1e8])
+def test_the_start_value_closes_the_points_that_a_plane_meets(penalty: float, comm: MPI.Comm) -> None:
+    """What is left to Newton's method is what the start value had left of a linear problem."""
+    scene = Scene(
+        geometry={"shape": "fiber_array", "columns": 1, "rows": 1},
+        mesh={"size": 0.15},
+        materials={"soft": {"young": 1000, "poisson": 0.3}},
+        bodies={"*": "soft"},
+        planes=[
+            {"name": "floor", "point": "bottom"},
+            {"name": "lid", "point": "top", "motion": [0, -0.1], "follows": "press"},
+        ],
+        contact={"normal_penalty": penalty},
+        load={"steps": [2], "factors": {"press": [1.0]}},
+    )
+    assert all(row["newton"] <= 3 for row in run(scene, comm).history)
+
+
+def test_the_same_equilibrium_as_without_foresight(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In fewer iterations, the linear solves of which are counted."""
+    scene = Scene(
+        geometry={"shape": "facing_halves"},
+        mesh={"size": 0.12, "contact_size": 0.03},
+        bodies={"lower": "pvdf", "upper": "pvdf"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {"on": "top", "displacement": [0, -0.04], "follows": "press"},
+        ],
+        contact={"normal_penalty": 1e7},
+        load={"steps": [2], "factors": {"press": [1.0]}},
+        solver={"tolerance": 1e-11},
+    )
+    foreseen = run(scene, comm).history
+    monkeypatch.setattr(solver, "FORESIGHTS", 0)
+    blind = run(scene, comm).history
+    assert_equal(foreseen, blind, ("newton", "krylov"))
+    for ours, theirs in zip(foreseen, blind, strict=True):
+        assert ours["newton"] < theirs["newton"] and ours["newton"] < ours["krylov"]
