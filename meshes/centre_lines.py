@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -47,6 +50,8 @@ class Fiber:
     @cached_property
     def curve(self) -> CubicSpline:
         """The centre line over its parameter, the length of the chords between the points."""
+        from scipy.interpolate import CubicSpline  # here: a fifteenth of a small scene's time that others do without
+
         chords = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), self.points, bc_type="natural")
 
