@@ -2,7 +2,7 @@
 
 What next to nothing holds is thrown about by Newton's method. Where a load acts on such a part, its springs are made
 strong at first and then weaker, down to where they bear nothing. Where no load does, as in a mat that planes press,
-a hundred times stronger ones may stay, as long as their work is small.
+a hundred times stronger ones may stay, as long as their work is small; in a mat of many fibers they are there at once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ log = logging.getLogger("piezomat")
 CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
 STRONGEST, FALL, LEAST_FALL = 1e7, 10.0, 1.3  # how strong they are at first; by what they weaken, at most, at least
 THROUGH = 0.5  # share of the least thickness by which a floating part may move beyond what is prescribed in a step
+MANY = 50  # loose parts, of which some are nearly always thrown about: their springs are stronger from the start
 STRONGER, WORK = 100.0, 5e-4  # how strong springs may stay, and the share of the stored energy that they may then take
 UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 
@@ -33,6 +34,8 @@ class Springs:
     def __init__(self, problem: Problem, equilibrium: Callable[[float, NewtonReport], None]) -> None:
         self.problem = problem
         self._equilibrium = equilibrium
+        if problem.model.floating[:, 0].sum() >= MANY and not problem.loaded:
+            problem.set_grounding(STRONGER)
 
     def solve(self, margin: float, report: NewtonReport) -> None:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails."""

@@ -38,7 +38,7 @@ QUIET = {"output.picture": "false", "output.fields": "none"}
 CHEAP = {"contact.method": "node", "contact.smoothing": "false"}
 ALIKE = 60.0  # force on a fiber at which voltages are compared, uN (2D: uN/um)
 # Sizes of elements over the scene's: 100 fibers have a million unknowns, or a tenth of that.
-FINE, COARSE = 0.58, 1.6
+FINE, COARSE = 0.56, 1.6
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def growth(fibers: list[int]) -> Iterator[Run]:
     """Equal meshes for all numbers of fibers; a negative number asks for the fine mesh, on two ranks."""
     for count in fibers:
         fine = FINE if count < 0 else COARSE
-        keys = mat(abs(count), 1, finer=fine)
+        keys = mat(abs(count), 1, finer=fine) | ({"solver.max_iterations": 40} if count < 0 else {})
         yield Run({"fibers": abs(count), "finer": fine}, "random_mat", keys, 1 + (count < 0))
 
 

@@ -53,6 +53,14 @@ def test_what_weak_springs_do_not_hold_stronger_ones_do_from_then_on(weak: list[
     assert not any(row["cutbacks"] for row in history)
 
 
+def test_many_loose_parts_have_stronger_springs_from_the_start(
+    weak: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(springs, "MANY", 1)
+    run(block(), MPI.COMM_SELF)
+    assert weak == [springs.STRONGER] * 3
+
+
 @pytest.mark.mpi
 def test_stronger_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = run(block(), comm).history
