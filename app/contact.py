@@ -15,7 +15,6 @@ from app import reductions
 from app.contact_pass import LARGEST_SHAPE, ContactPass, Pairs
 from app.contact_terms import ContactTerms, no_terms, terms_of_pass, terms_of_plane
 from app.exchange import Exchange
-from app.foresight import foresee
 from app.nodal_state import NodalState
 from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
@@ -105,9 +104,9 @@ class Contact:
         self.nodes = np.unique(np.concatenate(needed))
         wanted = PETSc.IS().createBlock(self.components, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
         self._exchange = Exchange(state, wanted)
-        self._reference = self._gather(self._coordinates)[:, : self.dim]
-        along = self._gather(self._along)[:, 0] if self._along is not None else None
-        values = self._gather(state)
+        self._reference = self.gather(self._coordinates)[:, : self.dim]
+        along = self.gather(self._along)[:, 0] if self._along is not None else None
+        values = self.gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
         self._searched, self._partners_at = False, None
         position = self._reference + values[:, : self.dim]
@@ -164,7 +163,7 @@ class Contact:
 
         Without `search` points that met nothing at the last evaluation meet nothing.
         """
-        values = self._gather(state)
+        values = self.gather(state)
         position = self._reference + values[:, : self.dim]
         displacement = values[:, : self.dim]
         motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
@@ -184,7 +183,7 @@ class Contact:
         same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
         self._partners_at = position
         potentials = values[:, self.dim] if self.potential_scale is not None else None
-        at = self._at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls, self._exact)
+        at = self.at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls, self._exact)
         try:
             if not same:
                 for p in self.passes:
@@ -224,25 +223,13 @@ class Contact:
         slid = any(p.segments and p.has_slid(before, p.law.reach) for p in self.passes)
         return self.comm.allreduce(slid, op=MPI.LOR)
 
-    def foresee(self, change: PETSc.Vec) -> Array:
-        """Answer from now on as after this change of the state of the last evaluation.
-
-        Norms (2,) of forces and charges that the last answer did not lead to expect; NaN where facets have collapsed.
-        """
-        return np.sqrt(reductions.total(self.comm, foresee(self.every, self._at, self._gather(change))))
-
-    def end_foresight(self) -> None:
-        """Answer again at the states that are evaluated."""
-        for p in self.every:
-            p.foreseen = None
-
     def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
         """Add the terms' vectors to a distributed residual."""
         self._add(terms.nodes, terms.vectors, residual)
 
     def add_product(self, terms: ContactTerms, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """Add the terms' matrices times a change of state to a distributed vector."""
-        local = self._gather(change)[terms.nodes]
+        local = self.gather(change)[terms.nodes]
         product = np.einsum("mij,mj->mi", terms.matrices, local.reshape(terms.matrices.shape[:2]))
         self._add(terms.nodes, product.reshape(local.shape), result)
 
@@ -333,7 +320,7 @@ class Contact:
             each = np.zeros((*shape.shape, self.components))
             each[..., 0] = shape * values[:, column, None]
             self._add(corners[p.points.facet[rows]], each, total)
-            sums[..., column] = self._gather(total)[corners, 0]
+            sums[..., column] = self.gather(total)[corners, 0]
         return sums
 
     def give_up(self) -> None:
@@ -399,7 +386,8 @@ class Contact:
         total = reductions.total(self.comm, sums)
         return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
 
-    def _gather(self, vector: PETSc.Vec) -> Array:
+    def gather(self, vector: PETSc.Vec) -> Array:
+        """Values (n, components) of a distributed vector at the nodes of all passes that this rank sees."""
         return self._exchange.take(vector).reshape(-1, self.components)
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:

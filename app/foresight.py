@@ -9,17 +9,19 @@ active set, Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2003) 865-888).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from petsc4py import PETSc
 
+from app import reductions
 from app.nodal_state import NodalState
 from forms.contact.augmentation import respond
 from forms.contact.laws import Response
 
 if TYPE_CHECKING:
+    from app.contact import Contact
     from app.contact_pass import ContactPass
     from app.planes import PlanePass
 
@@ -41,17 +43,26 @@ def first_answer(p: ContactPass | PlanePass) -> tuple[Array, Array]:
     return (p.response.slope, p.response.charge) if p.foreseen is None else p.response.after(-p.foreseen)
 
 
-def foresee(passes: Sequence[ContactPass | PlanePass], at: NodalState, change: Array) -> Array:
-    """Let passes answer from now on as after a change (n, components) of their nodes' unknowns.
+def foresee(contact: Contact, change: PETSc.Vec) -> Array:
+    """Let contact answer from now on as after this change of the state of its last evaluation. Collective.
 
-    Sums (2,) of squares of forces and charges at points by which that differs from what the last responses led to
-    expect; not numbers where facets have collapsed, infinite where a change is wild.
+    Norms (2,) of forces and charges that the last answer did not lead to expect; not numbers where facets have
+    collapsed, infinite where a change is wild.
     """
+    nodal, sums = contact.gather(change), np.zeros(2)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            return sum((_foresee(p, at, change) for p in passes), np.zeros(2))
+            for p in contact.every:
+                sums += _foresee(p, contact.at, nodal)
     except np.linalg.LinAlgError:
-        return np.full(2, np.nan)
+        sums[:] = np.nan
+    return np.sqrt(reductions.total(contact.comm, sums))
+
+
+def end(contact: Contact) -> None:
+    """Let contact answer at the states that are evaluated again."""
+    for p in contact.every:
+        p.foreseen = None
 
 
 def _foresee(p: ContactPass | PlanePass, at: NodalState, change: Array) -> Array:

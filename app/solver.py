@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from app import fenicsx
+from app import fenicsx, foresight
 from app.linear import linear_solver
 from app.outcome import NewtonReport, SolveError
 from app.problem import Problem
@@ -210,14 +210,13 @@ class Newton:
         small steps. residual: the relative one at x.
         """
         problem, contact, ksp = self.problem, self.problem.contact, self.snes.getKSP()
-        if contact is None or contact.adhesive or contact.broken:
+        if not self._condensed_few() or contact.adhesive or contact.broken:
             return
         best, least = change.copy(), np.inf
         for _ in range(FORESIGHTS):
-            condensed = self.linear.condensation
-            if condensed is None or len(condensed.candidates) * condensed.block > FORESEEN_LIMIT:
+            if not self._condensed_few():
                 break
-            unforeseen = float(self._ratios(contact.foresee(change)).max())
+            unforeseen = float(self._ratios(foresight.foresee(contact, change)).max())
             if unforeseen < least:
                 change.copy(best)
                 least = unforeseen
@@ -235,7 +234,11 @@ class Newton:
             change.axpy(1.0, self._trial)
             self._report.krylov += ksp.getIterationNumber()
         best.copy(change)
-        contact.end_foresight()
+        foresight.end(contact)
+
+    def _condensed_few(self) -> bool:
+        condensation = self.linear.condensation
+        return condensation is not None and len(condensation.candidates) * condensation.block <= FORESEEN_LIMIT
 
     def _evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
         reuse, self._trial_is_next = self._trial_is_next and x.equal(self._change), False
