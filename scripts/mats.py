@@ -67,7 +67,7 @@ def growth(fibers: list[int]) -> Iterator[Run]:
     """Equal meshes for all numbers of fibers; a negative number asks for the fine mesh, on two ranks."""
     for count in fibers:
         fine = FINE if count < 0 else COARSE
-        keys = mat(abs(count), 1, finer=fine) | ({"solver.max_iterations": 40} if count < 0 else {})
+        keys = mat(abs(count), 1, finer=fine) | ({"solver.tolerance": 1e-7} if count < 0 else {})
         yield Run({"fibers": abs(count), "finer": fine}, "random_mat", keys, 1 + (count < 0))
 
 
