@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import dijkstra
 
 from app import fenicsx
+from app.exchange import Exchange
 from meshes.surface import global_numbers, node_coordinates
 
 Array = NDArray[np.float64]
@@ -88,13 +89,11 @@ def _least_over_ranks(space: Any) -> Callable[[Array], Array]:
     nodes = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
     numbers = global_numbers(space, nodes).astype(PETSc.IntType)
     whole = PETSc.Vec().createMPI((index_map.size_local, None), comm=space.mesh.comm)
-    local = PETSc.Vec().createSeq(len(nodes), comm=MPI.COMM_SELF)
-    scatter = PETSc.Scatter().create(whole, PETSc.IS().createGeneral(numbers, comm=MPI.COMM_SELF), local, None)
+    exchange = Exchange(whole, PETSc.IS().createGeneral(numbers, comm=MPI.COMM_SELF))
 
     def least(values: Array) -> Array:
-        whole.array[:], local.array[:] = -np.inf, -values
-        scatter.scatter(local, whole, PETSc.InsertMode.MAX_VALUES, PETSc.ScatterMode.REVERSE)
-        scatter.scatter(whole, local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-        return -local.array_r
+        whole.array[:] = -np.inf
+        exchange.raise_to(-values, whole)
+        return -exchange.take(whole)
 
     return least

@@ -84,20 +84,21 @@ class Condensation:
         matrices = bulk.createSubMatrices(sets, sets)
         bulk.destroy()
         give_back_memory()
-        shifts = [np.zeros(0)]
+        shifts, places, first = [np.zeros(0)], [np.zeros(0, np.int64)], 0
         self._factors = SchurFactors()
         for part, matrix in zip(self._parts, matrices, strict=True):
             outer = _unknowns(np.flatnonzero(np.isin(part, candidates)), b)
             # Parts that only contact holds leave K singular: springs of the bulk's own stiffness are added at the
             # candidates, and taken away from S. The potential's block is negative.
             diagonal = matrix.getDiagonal()
+            places.append(first + outer.astype(np.int64))
+            first += len(part) * b
             shifts.append(diagonal.array_r[outer].copy())
             diagonal.array[outer] += shifts[-1]
             matrix.setDiagonal(diagonal)
             self._factors.add(matrix, outer)
         give_back_memory()
-        self._shift = np.concatenate(shifts)
-        self._places = _unknowns(np.flatnonzero(np.isin(self._nodes, candidates)), b).astype(np.int64)
+        self._shift, self._places = np.concatenate(shifts), np.concatenate(places)
         reduced = self._factors.complement() - np.diag(self._shift)
         unknowns = _unknowns(candidates, b)
         self._own = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._places])

@@ -43,15 +43,16 @@ def contact_of(model: Model) -> Contact | None:
     keys = model.scene.contact
     if keys is None and not model.scene.planes:
         return None
+    thickness = _fiber_thickness(model) if keys is not None and keys.self_contact else None
     if keys is None:
         passes, pairs = [], Pairs((), (), {})
     elif keys.pairs == "auto":
-        passes, pairs = _of_bodies(model)
+        passes, pairs = _of_bodies(model, thickness)
     else:
         passes, pairs = _of_scene(model)
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
-    along = _along(model) if keys is not None and keys.self_contact else None
+    along = _along(model, thickness) if thickness is not None else None
     return Contact(model.comm, model.space, x, passes, planes, pairs, scale, along)
 
 
@@ -72,11 +73,11 @@ def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)))
 
 
-def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
+def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[ContactPass], Pairs]:
     """Passes of every two bodies that share no node: one for all bodies of a kind against all of another.
 
-    With self-contact every two bodies, and each with itself. A kind is what the penalties depend on: stiffness and
-    permittivity.
+    With self-contact, given the `thickness` of parts, every two bodies, and each with itself. A kind is what the
+    penalties depend on: stiffness and permittivity.
     """
     bodies, keys = model.bodies, model.scene.contact
     rule = Rule(len(bodies.part_bodies), ordered=keys.passes == 1, itself=keys.self_contact)
@@ -98,7 +99,7 @@ def _of_bodies(model: Model) -> tuple[list[ContactPass], Pairs]:
         every = [np.array(clumps_of_bodies[kind]) for kind in (slave, master)]
         if any(rule.allows(clump, every[1]).any() for clump in every[0]):
             given = surfaces[slave], surfaces[master], clumps[slave], clumps[master]
-            passes.append(_pass(model, len(passes), *given, rule, True))
+            passes.append(_pass(model, len(passes), *given, rule, True, thickness))
     if not passes and not model.scene.planes:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
     return passes, _listed(model)
@@ -117,9 +118,9 @@ def _listed(model: Model) -> Pairs:
     return Pairs(bodies.bodies, None, listed)
 
 
-def _along(model: Model) -> PETSc.Vec:
+def _along(model: Model, thickness: Array) -> PETSc.Vec:
     """How far the nodes are along their part, over what is far, in the first components of a vector like the state."""
-    far = FAR * _fiber_thickness(model)[model.node_part]
+    far = FAR * thickness[model.node_part]
     vector = model.coordinate_vector()
     values = np.zeros((model.owned, model.block))
     values[:, 0] = (distance_along(model.space, model.node_part, len(model.bodies.part_bodies)) / far)[: model.owned]
@@ -216,6 +217,7 @@ def _pass(
     master_clump: Integers,
     rule: Rule,
     first: bool,
+    thickness: Array | None = None,
 ) -> ContactPass:
     keys = model.scene.contact
     unit = keys.method == "node" and keys.nodal_weight == "unit"
@@ -228,7 +230,7 @@ def _pass(
     electric = permittivity if all(m.electric for m in materials) else None
     law = _interface_law(keys, size, stiffness, electric, model)
     depth, share, cuts = _depth(model, slave, master), 1.0 / keys.passes, keys.method == "segment"
-    own_depth = 0.5 * float(_fiber_thickness(model).min()) if keys.self_contact else depth
+    own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
     clumps = slave_clump, master_clump, rule
     return ContactPass(number, slave, master, *clumps, points, law, share, first, size, depth, own_depth, cuts)
 

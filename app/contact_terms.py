@@ -48,8 +48,9 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: boo
         here, there = p.potentials_at(at.potentials, facet, partner)
         p.jump = np.einsum("mk,mk->m", shape, here)
         p.jump = at.scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
-    p.gap = p.projection.gap + p.shift.at(kind, facet, xi)[0]
-    r = p.response = answer(p, at)
+    shift = p.shift.at(kind, facet, xi)
+    p.gap = p.projection.gap + shift[0]
+    r = p.response = answer(p, at, shift)
     if dragged:
         r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
         r.curvature = r.curvature + p.drag.stiffness[rows]

@@ -25,5 +25,12 @@ class Exchange:
 
     def add(self, values: Array, result: PETSc.Vec) -> None:
         """Add values to the entries of a vector; what several ranks give to one is summed."""
+        self._give(values, result, PETSc.InsertMode.ADD_VALUES)
+
+    def raise_to(self, values: Array, result: PETSc.Vec) -> None:
+        """Raise the entries of a vector to values, the largest of what several ranks give to one."""
+        self._give(values, result, PETSc.InsertMode.MAX_VALUES)
+
+    def _give(self, values: Array, result: PETSc.Vec, mode: PETSc.InsertMode) -> None:
         self._local.array[:] = values
-        self._scatter.scatter(self._local, result, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+        self._scatter.scatter(self._local, result, mode, PETSc.ScatterMode.REVERSE)

@@ -190,7 +190,7 @@ def nodes_per_cell(mesh: Any) -> int:
 
 def corners_per_cell(mesh: Any) -> int:
     """Number of corners of a cell, also on a rank that has none."""
-    return {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}[cell_name(mesh)]
+    return dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, 0)
 
 
 def degree(argument: Any) -> int:

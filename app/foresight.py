@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def answer(p: ContactPass | PlanePass, at: NodalState) -> Response:
-    """The law's response at the gaps and jumps of a pass's points, or at those that are foreseen."""
-    rows, kind = p.rows[p.met], p.slave.kind
-    shift = p.shift.at(kind, p.points.facet[rows], p.points.xi[rows])
-    gap, jump = p.projection.gap, p.jump
+def answer(p: ContactPass | PlanePass, at: NodalState, shift: tuple[Array, Array]) -> Response:
+    """The law's response at the gaps and jumps of a pass's points, or at those foreseen; both get their `Shift`."""
+    rows, gap, jump = p.rows[p.met], p.projection.gap, p.jump
     if p.foreseen is not None:
         gap, jump = gap + p.foreseen[0], None if jump is None else jump + p.foreseen[1]
     return respond(p.law[rows], gap, jump, p.history[rows], shift, pulls=at.pulls, exact=at.exact)
@@ -69,7 +67,8 @@ def _foresee(p: ContactPass | PlanePass, at: NodalState, change: Array) -> Array
     last, before = p.response, p.foreseen
     p.foreseen = p.first_changes(at, change)
     slope, charge = last.after(p.foreseen if before is None else p.foreseen - before)
-    r = answer(p, at)
-    weight = p.share * p.points.weight[p.rows[p.met]]
+    rows = p.rows[p.met]
+    r = answer(p, at, p.shift.at(p.slave.kind, p.points.facet[rows], p.points.xi[rows]))
+    weight = p.share * p.points.weight[rows]
     scale = 1.0 if at.scale is None else at.scale
     return np.array([((weight * (r.slope - slope)) ** 2).sum(), ((scale * weight * (r.charge - charge)) ** 2).sum()])

@@ -102,7 +102,7 @@ class TangentMatrix:
         return keys - self._first * self._total, blocks.reshape(-1, b, b)
 
     def _has_places(self, keys: Integers) -> bool:
-        return bool(np.isin(keys, self._pattern.keys).all() and np.isin(keys // self._total, self._rows).all())
+        return self._pattern.has(keys) and bool(np.isin(keys // self._total, self._rows).all())
 
     def _grow(self, keys: Integers) -> None:
         keys_now = np.union1d(self._pattern.keys, keys)
@@ -168,6 +168,11 @@ class _Pattern:
     def chunks(self) -> list[Integers]:
         """The keys, a part at a time: what is made from all of them at once is larger than the matrix."""
         return np.split(self.keys, np.arange(CHUNK, len(self.keys), CHUNK))
+
+    def has(self, keys: Integers) -> bool:
+        """Whether these keys are all among its own, which are many and sorted."""
+        index = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+        return not len(keys) or (len(self.keys) > 0 and bool((self.keys[index] == keys).all()))
 
     def places(self, keys: Integers) -> Integers:
         """Where the entries of the blocks with these keys stand, (k, b, b)."""

@@ -158,8 +158,9 @@ class PlanePass:
             )
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
-        self.gap = gap + self.shift.at(kind, facet, self.points.xi[rows])[0]
-        r = self.response = answer(self, at)
+        shift = self.shift.at(kind, facet, self.points.xi[rows])
+        self.gap = gap + shift[0]
+        r = self.response = answer(self, at, shift)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)

@@ -288,7 +288,7 @@ def _faces_that_cut(plan: Array, width: float, depth: float) -> Faces:
     found: list[Face | None] = []
     for end, inner in ((plan[0], plan[1]), (plan[-1], plan[-2])):
         outward = end - inner
-        faces = [Face(k, side, 1 if side else -1) for k, far in enumerate((width, depth)) for side in (0.0, far)]
+        faces = [Face(axis, where, 1 if where else -1) for axis, where in _box_faces(width, depth).values()]
         here = [f for f in faces if abs(end[f.axis] - f.where) <= 1e-9 * max(width, depth)]
         found.append(max(here, key=lambda f: f.outside * outward[f.axis], default=None))
     return found[0], found[1]

@@ -64,7 +64,10 @@ def mat(count: int, seed: int, steps: int = STEPS, finer: float = 1.0) -> dict[s
 
 
 def growth(fibers: list[int]) -> Iterator[Run]:
-    """Equal meshes for all numbers of fibers; a negative number asks for the fine mesh, on two ranks."""
+    """Equal meshes for all numbers of fibers; a negative number asks for the fine mesh, on two ranks.
+
+    That one is solved to 1e-7: of the loosest fibers, which springs alone hold, contact comes and goes below.
+    """
     for count in fibers:
         fine = FINE if count < 0 else COARSE
         keys = mat(abs(count), 1, finer=fine) | ({"solver.tolerance": 1e-7} if count < 0 else {})

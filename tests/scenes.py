@@ -21,6 +21,24 @@ def press(geometry: dict[str, Any], **sections: Any) -> Scene:
     return Scene(**{"geometry": geometry, "output": {"fields": "none", "picture": False}, **sections})
 
 
+def pressed(dimension: int, **changes: Any) -> Scene:
+    """Two half fibers, the upper one without an electrode, pressed together in two steps."""
+    sideways = [0.0] * (dimension - 1)
+    keys = {
+        "geometry": {"shape": "facing_halves" if dimension == 2 else "crossed_fibers"},
+        "mesh": {"size": 0.3, "contact_size": 0.1},
+        "bodies": {"lower": "pvdf", "upper": "pvdf"},
+        "boundaries": [
+            {"on": "bottom", "displacement": [*sideways, 0], "potential": 0},
+            {"on": "top", "displacement": [*sideways, -0.04], "follows": "press"},
+        ],
+        "contact": {},
+        "load": {"steps": [2], "factors": {"press": [1.0]}},
+        "solver": {"tolerance": 1e-11},
+    }
+    return Scene(**{**keys, **changes})
+
+
 def along(value: float, dimension: int) -> list[Any]:
     """A displacement that prescribes the last component alone."""
     return [*["free"] * (dimension - 1), value]

@@ -10,31 +10,13 @@ from petsc4py import PETSc
 
 from app import linear
 from app.condensation import Condensation
-from app.scene import Scene
 from app.schur import SchurFactors
 from app.simulation import run
 from tests.histories import assert_equal
+from tests.scenes import pressed
 
 EFFORT = ("newton", "krylov")  # less where it is condensed: see `app.foresight`
 WHOLE = {"petsc": {"mat_mumps_icntl_14": 60}}  # a word on the factorization asks for that of the whole
-
-
-def pressed(dimension: int, **changes: object) -> Scene:
-    """Two half fibers, the upper one without an electrode, pressed together in two steps."""
-    along = [0.0] * (dimension - 1)
-    keys = {
-        "geometry": {"shape": "facing_halves" if dimension == 2 else "crossed_fibers"},
-        "mesh": {"size": 0.3, "contact_size": 0.1},
-        "bodies": {"lower": "pvdf", "upper": "pvdf"},
-        "boundaries": [
-            {"on": "bottom", "displacement": [*along, 0], "potential": 0},
-            {"on": "top", "displacement": [*along, -0.04], "follows": "press"},
-        ],
-        "contact": {},
-        "load": {"steps": [2], "factors": {"press": [1.0]}},
-        "solver": {"tolerance": 1e-11},
-    }
-    return Scene(**{**keys, **changes})
 
 
 def test_schur_complements_and_solution() -> None:

@@ -18,6 +18,7 @@ from forms.contact.integrals import first_changes
 from meshes.body_mesh import create
 from tests.facets import KINDS, PairBatch
 from tests.histories import assert_equal
+from tests.scenes import pressed
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -99,18 +100,7 @@ def test_the_start_value_closes_the_points_that_a_plane_meets(penalty: float, co
 
 def test_the_same_equilibrium_as_without_foresight(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     """In fewer iterations, the linear solves of which are counted."""
-    scene = Scene(
-        geometry={"shape": "facing_halves"},
-        mesh={"size": 0.12, "contact_size": 0.03},
-        bodies={"lower": "pvdf", "upper": "pvdf"},
-        boundaries=[
-            {"on": "bottom", "displacement": [0, 0], "potential": 0},
-            {"on": "top", "displacement": [0, -0.04], "follows": "press"},
-        ],
-        contact={"normal_penalty": 1e7},
-        load={"steps": [2], "factors": {"press": [1.0]}},
-        solver={"tolerance": 1e-11},
-    )
+    scene = pressed(2, mesh={"size": 0.12, "contact_size": 0.03}, contact={"normal_penalty": 1e7})
     foreseen = run(scene, comm).history
     monkeypatch.setattr(solver, "FORESIGHTS", 0)
     blind = run(scene, comm).history
