@@ -35,6 +35,9 @@ REPAIRINGS = 12  # how often one solve may pair its surfaces anew because they m
 RECHECKS = 3  # how often one solve goes on because points had kept facets that they have left
 FORESIGHTS = 20  # how often a step is solved for again because contact answers otherwise than it was foreseen
 FORESEEN = 0.01  # share of the residual that this may leave
+# How often in one solve a step may leave more than half of the residual before no more are solved for again: points
+# go round corners, where contact answers otherwise than along the tangent, and a step foreseen there comes to nothing.
+MISSES, MISSED = 2, 0.5
 WILD = 1e15  # of the forces: a change that calls for more is rounding (a body that falls onto another: more than 1e6)
 # Most candidate unknowns for which it is done: their dense solves cost more than iterations where there are many (2,100
 # in an array of fibers: 8 iterations a step instead of 17, and a third more time).
@@ -56,6 +59,7 @@ class Newton:
         self._trial_is_next = False
         self._reference = np.zeros(1 + problem.model.electric)
         self._repair = False
+        self._misses = 0
         self._linear_solve = ExitStack()
         self._springs = Springs(problem, self._solve)
         prefix = next(PREFIXES)
@@ -98,6 +102,7 @@ class Newton:
     def _solve(self, margin: float, report: NewtonReport) -> None:
         problem = self.problem
         self._reference[:] = 0.0
+        self._misses = 0
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.pulls = not (problem.model.loose and problem.model.electric)
@@ -210,7 +215,7 @@ class Newton:
         small steps. residual: the relative one at x.
         """
         problem, contact, ksp = self.problem, self.problem.contact, self.snes.getKSP()
-        if not self._condensed_few() or contact.adhesive or contact.broken:
+        if not self._condensed_few() or self._misses >= MISSES or contact.adhesive or contact.broken:
             return
         best, least = change.copy(), np.inf
         for _ in range(FORESIGHTS):
@@ -261,7 +266,9 @@ class Newton:
         self._foresee(x, step, self._report.residuals[-1])
         step.scale(-1.0)
         self._try(x, step, 1.0)
-        if self._trial.norm() <= CONVERGING * self._residual.norm():
+        left = self._trial.norm() / self._residual.norm()
+        self._misses += left > MISSED
+        if left <= CONVERGING:
             return
         slope_here = -self._slope(self._residual, step)
         if slope_here >= 0.0:

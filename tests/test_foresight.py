@@ -107,3 +107,22 @@ def test_the_same_equilibrium_as_without_foresight(comm: MPI.Comm, monkeypatch: 
     assert_equal(foreseen, blind, ("newton", "krylov"))
     for ours, theirs in zip(foreseen, blind, strict=True):
         assert ours["newton"] < theirs["newton"] and ours["newton"] < ours["krylov"]
+
+
+@pytest.mark.parametrize(
+    ("method", "order", "penalty", "steps"),
+    [("node", 1, 1e6, 4), ("point", 2, 1e6, 4), ("segment", 2, 1e4, 1), ("segment", 2, 1e5, 1)],
+)
+def test_what_was_foreseen_in_vain_is_given_up(
+    method: str, order: int, penalty: float, steps: int, comm: MPI.Comm
+) -> None:
+    """Where points go round corners; each of these once ran out of iterations, however its steps were cut."""
+    facet = 0.012 * order
+    scene = pressed(
+        2,
+        mesh={"size": 0.12, "contact_size": facet, "size_factors": {"upper": 0.9}, "order": order},
+        contact={"method": method, "normal_penalty_factor": penalty, "passes": 1 if method == "node" else 2},
+        load={"steps": [steps], "factors": {"press": [0.5]}},
+    )
+    history = run(scene, comm).history
+    assert sum(row["cutbacks"] for row in history) == 0 and max(row["newton"] for row in history) <= 20
