@@ -66,6 +66,7 @@ class Problem:
         self.full = self.state.duplicate()  # residual with the reactions of what is fixed
         self.loads = self.state.duplicate()  # what the loads add to the residual: minus the nodal forces they apply
         self.start = self.state.duplicate()  # the last converged state
+        self._work = self.state.duplicate()  # new vectors in each iteration would stay until garbage is collected
         self._terms: ContactTerms | None = None
         self.snap_work: Array | None = None  # of the last part of a step, if it snapped
         self.linear = contact is None and not self.finite
@@ -216,13 +217,11 @@ class Problem:
 
     def outer_forces(self) -> Array:
         """Norms (1,) or (2,) of what acts from outside at the last `residual`: reactions, loads, rigid planes."""
-        forces = self.full - self.loads
-        if self.contact is not None and self.contact.planes:
-            planes = forces.duplicate()
-            planes.set(0.0)
-            self.contact.add_forces_of_planes(planes)
-            forces.axpy(-1.0, planes)
-        return self.norms(forces)
+        self.loads.copy(self._work)
+        self._work.axpy(-1.0, self.full)
+        if self.contact is not None:
+            self.contact.add_forces_of_planes(self._work)
+        return self.norms(self._work)
 
     def displacements(self, vector: PETSc.Vec) -> Array:
         """This rank's displacement part (nodes, d) of a vector."""
@@ -348,13 +347,15 @@ class Problem:
             self._assemble_into(self.full, self._residual_form)
             if self._load_tangent is not None:
                 self._assemble_loads()
-            held = self.start - x
         else:
             self._bulk.mult(x, self.full)  # its springs included
-            held = self.start
         self.full.axpy(1.0, self.loads)
         if self._springs is not None:
-            self.full.axpy(-self.grounding, self._springs * held)
+            self.start.copy(self._work)
+            if self.finite:
+                self._work.axpy(-1.0, x)
+            self._work.pointwiseMult(self._springs, self._work)
+            self.full.axpy(-self.grounding, self._work)
 
     def _assemble_loads(self) -> None:
         self.loads.set(0.0)
