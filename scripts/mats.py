@@ -38,7 +38,7 @@ QUIET = {"output.picture": "false", "output.fields": "none"}
 CHEAP = {"contact.method": "node", "contact.smoothing": "false"}
 ALIKE = 60.0  # force on a fiber at which voltages are compared, uN (2D: uN/um)
 # Sizes of elements over the scene's: 100 fibers have a million unknowns, or a tenth of that.
-FINE, COARSE = 0.56, 1.6
+FINE, COARSE = 0.565, 1.6
 
 
 @dataclass(frozen=True)
