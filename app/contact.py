@@ -20,10 +20,9 @@ from app.partners import KEEP, KEPT, Search, find_partners
 from app.planes import PlanePass
 from forms.contact.augmentation import corner_kind
 from forms.contact.laws import Drag
-from meshes.crowd import Meetings, VisibleFacets, share_facets
+from meshes.crowd import Meetings, share_facets
 from meshes.overlap import deepest_overlap
 from meshes.pairing import near_points
-from meshes.surface import global_numbers
 
 Array = NDArray[np.float64]
 
@@ -83,35 +82,29 @@ class Contact:
         self._exact = True
         self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
 
-    def pair(self, state: PETSc.Vec, local_state: Array, local_coordinates: Array, margin: float) -> None:
+    def pair(self, state: PETSc.Vec, margin: float) -> None:
         """Find anew, at this state, which facets each rank must see and which points are near.
 
-        local_state (nodes, components) and local_coordinates (nodes, d) are values at this rank's nodes, ghosts
-        included. `margin` (um): how near a point must be to be looked at; the pairing holds as long as no surface
-        has moved by more than half of it.
+        `margin` (um): how near a point must be to be looked at; the pairing holds as long as no surface has moved by
+        more than half of it.
         """
         self.margin = margin
-        position = local_coordinates + local_state[:, : self.dim]
+        self._see([facets.nodes for p in self.passes for facets in (p.slave, p.master)])
+        position = self._reference + self.gather(state)[:, : self.dim]
         needed = []
         for p in self.passes:
-            slave, master = position[p.slave.nodes], position[p.master.nodes]
-            numbers = global_numbers(self.space, p.master.nodes)
-            own = VisibleFacets(numbers, p.master.orientation, p.master.key, p.master_clump, p.master.rounding)
-            p.visible = share_facets(self.comm, slave, p.slave_clump, own, master, margin, p.rule)
-            needed += [global_numbers(self.space, p.slave.nodes).ravel(), p.visible.nodes.ravel()]
+            slave, master = (position[np.searchsorted(self.nodes, facets.nodes)] for facets in (p.slave, p.master))
+            p.visible = share_facets(self.comm, slave, p.slave.clump, p.master, master, margin, p.rule)
+            needed += [p.slave.nodes, p.visible.nodes]
         # All planes meet the same surface.
-        needed += [global_numbers(self.space, p.slave.nodes).ravel() for p in self.planes[:1]]
-        self.nodes = np.unique(np.concatenate(needed))
-        wanted = PETSc.IS().createBlock(self.components, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
-        self._exchange = Exchange(state, wanted)
-        self._reference = self.gather(self._coordinates)[:, : self.dim]
+        self._see(needed + [p.slave.nodes for p in self.planes[:1]])
         along = self.gather(self._along)[:, 0] if self._along is not None else None
         values = self.gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
         self._searched, self._partners_at = False, None
         position = self._reference + values[:, : self.dim]
         for p in self.passes:
-            p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
+            p.slave_nodes = np.searchsorted(self.nodes, p.slave.nodes)
             p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
             p.own = p.own_surface(self._reference, along) if along is not None else None
             if p.segments:
@@ -123,16 +116,23 @@ class Contact:
             p.found_beyond = np.zeros(len(p.rows))
             p.clear, p.approach = np.zeros((2, len(p.rows)))
         for p in self.planes:
-            p.slave_nodes = np.searchsorted(self.nodes, global_numbers(self.space, p.slave.nodes))
+            p.slave_nodes = np.searchsorted(self.nodes, p.slave.nodes)
             p.look(position, margin)
         self.outgrown = False
         self._keep, self._exact = KEEP[0][1], True
+
+    def _see(self, numbers: list[NDArray[np.int64]]) -> None:
+        """Take these global nodes for those that this rank sees."""
+        self.nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, numbers)]))
+        wanted = PETSc.IS().createBlock(self.components, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+        self._exchange = Exchange(self._coordinates, wanted)
+        self._reference = self.gather(self._coordinates)[:, : self.dim]
 
     def _meet_clumps(self, p: ContactPass, position: Array, margin: float) -> None:
         """Find the points near facets that they may meet, and which clumps each of them is near."""
         points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
         facets = p.master_at(position)
-        boxed = Meetings.near(points, p.slave_clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
+        boxed = Meetings.near(points, p.slave.clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
         near, p.candidates = [], []
         for rows, clump, own in zip(boxed.points, boxed.facets, boxed.own, strict=True):
             rows = rows[p.meets[rows]]

@@ -23,10 +23,11 @@ from forms.contact.augmentation import corner_kind
 from forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
 from forms.contact.laws import Adhesion, InterfaceLaw
 from forms.contact.lennard_jones import LennardJones
-from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule
+from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule, VisibleFacets
 from meshes.nodal_normals import smoothed
 from meshes.own_surface import FAR
-from meshes.surface import Surface, body_facets, multiplicity, surface
+from meshes.sharing import SlaveFacets, even_ranks, sent
+from meshes.surface import Surface, body_facets, global_numbers, multiplicity, surface
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -36,6 +37,8 @@ LISTED_BODIES = 6  # of more bodies, the pairs have no columns in the history
 # it lowers the voltage by 3 % in 2D and 13 % in 3D, less as facets shrink; 0.01 lowers it by 1 and 2 %, but attraction
 # is then so steep that there are several equilibria, and with stiff penalties Newton's method takes twice as long.
 FADE = 0.1
+# Of half the least thickness: how near surfaces are, beyond the motion prescribed, whose contact is shared out.
+NEAR = 0.1
 
 
 def contact_of(model: Model) -> Contact | None:
@@ -147,10 +150,11 @@ def _planes(model: Model, first_number: int) -> list[PlanePass]:
     if not model.scene.planes:
         return []
     keys = model.scene.contact or ContactKeys()
-    outside = _facets(model, "outside", fenicsx.exterior_facets(model.mesh))
+    surface_here = _facets(model, "outside", fenicsx.exterior_facets(model.mesh))
+    body = model.bodies.cell_body[surface_here.cells]
+    outside = SlaveFacets.of(model.space, surface_here, np.zeros(len(body), np.int64), body)
     points = _points(keys, outside)
-    size = _facet_sizes(outside)[points.facet]
-    body = model.bodies.cell_body[outside.cells[points.facet]]
+    size, body = _facet_sizes(outside)[points.facet], body[points.facet]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
     low = reductions.least(model.comm, model.coordinates.min(axis=0, initial=np.inf))
@@ -194,7 +198,7 @@ def _facets(model: Model, name: str, facets: NDArray[np.int32]) -> Surface:
     return smoothed(model.space, flat) if keys is not None and keys.smoothing else flat
 
 
-def _points(keys: ContactKeys, group: Surface, shared: Array | None = None) -> SlavePoints:
+def _points(keys: ContactKeys, group: SlaveFacets, shared: Array | None = None) -> SlavePoints:
     """The points of a surface that the method asks for; of nodes those with unknowns alone.
 
     shared: the `multiplicity` of `nodal_points`. Segments begin as whole facets.
@@ -219,20 +223,28 @@ def _pass(
     first: bool,
     thickness: Array | None = None,
 ) -> ContactPass:
-    keys = model.scene.contact
+    keys, comm = model.scene.contact, model.comm
+    slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
+    depth = _depth(model, slave, master)
+    numbers = global_numbers(model.space, master.nodes)
+    masters = VisibleFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
+    slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
+    near = model.largest_motion() + NEAR * depth
+    rank = even_ranks(comm, slaves, masters, master.reference, near, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
-    points = _points(keys, slave, multiplicity(model.space, slave) if unit else None)
-    size = _facet_sizes(slave)[points.facet]
-    materials = [model.materials[i] for i in _bodies_of(model, slave) | _bodies_of(model, master)]
+    shared = sent(comm, multiplicity(model.space, slave), rank) if unit else None
+    slaves = slaves.sent(comm, rank)
+    points = _points(keys, slaves, shared)
+    size = _facet_sizes(slaves)[points.facet]
+    materials = [model.materials[i] for i in slave_bodies | master_bodies]
     stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))
     permittivity = np.full(len(size), min(m.mean_permittivity for m in materials))
     # Where one of the bodies has no permittivity, no charge passes.
     electric = permittivity if all(m.electric for m in materials) else None
     law = _interface_law(keys, size, stiffness, electric, model)
-    depth, share, cuts = _depth(model, slave, master), 1.0 / keys.passes, keys.method == "segment"
     own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
-    clumps = slave_clump, master_clump, rule
-    return ContactPass(number, slave, master, *clumps, points, law, share, first, size, depth, own_depth, cuts)
+    given = slaves, masters, frozenset(master_bodies), rule, points, law, 1.0 / keys.passes, first, size
+    return ContactPass(number, *given, depth, own_depth, keys.method == "segment")
 
 
 def _interface_law(
@@ -281,7 +293,7 @@ def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:
     return law(keys.strength, energy, penalty, keys.starts == "always")
 
 
-def _facet_sizes(group: Surface) -> Array:
+def _facet_sizes(group: SlaveFacets) -> Array:
     """Length of each facet, or the side of a square of its area."""
     points = quadrature_points(group.kind, group.reference)
     area = np.bincount(points.facet, points.weight, minlength=len(group))

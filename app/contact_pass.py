@@ -17,7 +17,7 @@ from forms.contact.smoothing import rounded, spread
 from meshes.crowd import Meetings, Rule, VisibleFacets
 from meshes.own_surface import Candidates, OwnSurface, Sides
 from meshes.pairing import facing_pairs, near_pairs
-from meshes.surface import Surface
+from meshes.sharing import SlaveFacets
 
 Array = NDArray[np.float64]
 
@@ -55,17 +55,18 @@ class Pairs:
 class ContactPass:
     """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
 
-    A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by the
-    clumps of the slave's facets (f,) and of the master's which of them may meet; `first`: whether the slave is the
-    first of its pair. `share` is the pass's share of the contact enthalpy (1/2 each with two passes). `meets`: which
-    points can meet anything, as pieces that no master facet covers cannot. After a pairing, `rows` are the points near
-    the master, `candidates` for each of the `meetings` the facets of their own part that they may meet, or None if it
-    is not their own, `facet` and `xi` their partners in `visible` and where, `met` those of the rows that have one, and
-    `found_beyond` the share of a facet by which a point that did not touch was beyond its partner when that was found;
-    all else is further off than `clear` - `approach` (um), which is how much nearer things may have come, growing from
-    search to search. The last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet,
-    and `gap` (m,), which the law sees: that of `projection` and the multipliers' `shift`. foreseen (2, m): changes of
-    gap and jump after which the law is to answer, see `foresight`.
+    A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by
+    their clumps which facets may meet. `slave` are those whose points this rank evaluates, `master` those whose
+    cells it holds, `first` whether the slave is the first of its pair. `share` is the pass's share of the contact
+    enthalpy (1/2 each with two passes). `meets`: which points can meet anything, as pieces that no master facet
+    covers cannot. After a pairing, `rows` are the points near the master, `candidates` for each of the `meetings`
+    the facets of their own part that they may meet, or None if it is not their own, `facet` and `xi` their
+    partners in `visible` and where, `met` those of the rows that have one, and `found_beyond` the share of a facet
+    by which a point that did not touch was beyond its partner when that was found; all else is further off than
+    `clear` - `approach` (um), which is how much nearer things may have come, growing from search to search. The
+    last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet, and `gap` (m,),
+    which the law sees: that of `projection` and the multipliers' `shift`. foreseen (2, m): changes of gap and jump
+    after which the law is to answer, see `foresight`.
     size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
     its far side and meets nothing; own_depth: the same in its own part, thinner than it seems if it is bent.
 
@@ -74,10 +75,9 @@ class ContactPass:
     """
 
     pair: int
-    slave: Surface
-    master: Surface
-    slave_clump: NDArray[np.int64]
-    master_clump: NDArray[np.int64]
+    slave: SlaveFacets
+    master: VisibleFacets
+    master_bodies: frozenset[int]
     rule: Rule
     points: SlavePoints
     law: InterfaceLaw
@@ -165,7 +165,7 @@ class ContactPass:
 
     def may_meet(self, slave: NDArray[np.int64], master: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether points of slave facets may meet visible master facets, (k,) each."""
-        ours, theirs = self.slave_clump[slave], self.visible.clump[master]
+        ours, theirs = self.slave.clump[slave], self.visible.clump[master]
         may = self.rule.allows(ours, theirs)
         if self.own is not None:
             joined = np.flatnonzero(may & self.rule.joined(ours, theirs))
@@ -195,7 +195,7 @@ class ContactPass:
         """How far (bodies,) the facets of each body that are seen here have moved at most, nodes by `change` (n, d)."""
         length = LARGEST_SHAPE[self.slave.kind.order] * np.linalg.norm(change, axis=1)
         found = np.zeros(bodies)
-        for clump, nodes in ((self.slave_clump, self.slave_nodes), (self.visible.clump, self.master_nodes)):
+        for clump, nodes in ((self.slave.clump, self.slave_nodes), (self.visible.clump, self.master_nodes)):
             np.maximum.at(found, self.rule.body(clump), length[nodes].max(axis=1, initial=0.0))
         return found
 
@@ -204,7 +204,7 @@ class ContactPass:
         others = np.zeros(len(self.rows))
         for near, clump in zip(self.meetings.points, self.meetings.clump, strict=True):
             others[near] = np.maximum(others[near], motions[self.rule.body(clump)])
-        self.approach += motions[self.rule.body(self.slave_clump[self.points.facet[self.rows]])] + others
+        self.approach += motions[self.rule.body(self.slave.clump[self.points.facet[self.rows]])] + others
 
     def potentials_at(self, potentials: Array, slave: NDArray, master: NDArray) -> tuple[Array, Array]:
         """Nodal potentials (m, n) of slave and of master facets."""
@@ -249,7 +249,7 @@ class ContactPass:
 
     def met_own(self) -> NDArray[np.bool_]:
         """Whether each point of the last evaluation met a facet of its own connected part, (met,)."""
-        return self.rule.joined(self.slave_clump[self.points.facet[self.rows[self.met]]], self.met_clump())
+        return self.rule.joined(self.slave.clump[self.points.facet[self.rows[self.met]]], self.met_clump())
 
     def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Number of the pair that each point met belongs to, and whether the point is on the first of the two.
@@ -258,7 +258,7 @@ class ContactPass:
         """
         if pairs.given is not None:
             return np.full(len(self.met), self.pair), np.full(len(self.met), self.first)
-        slave = self.rule.body(self.slave_clump[self.points.facet[self.rows[self.met]]])
+        slave = self.rule.body(self.slave.clump[self.points.facet[self.rows[self.met]]])
         master = self.rule.body(self.met_clump())
         first = slave < master
         if self.own is not None:

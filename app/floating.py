@@ -11,7 +11,6 @@ from app.planes import PlanePass
 
 def touching_bodies(model: Model, contact: Contact) -> set[int]:
     """Numbers of the bodies in contact with others or with planes at the last evaluation. Collective."""
-    cell_body = model.bodies.cell_body
     found: set[int] = set()
     for p in contact.every:
         closed = p.gap <= p.law.rest
@@ -19,13 +18,13 @@ def touching_bodies(model: Model, contact: Contact) -> set[int]:
         if not plane:
             closed &= ~p.met_own()  # what touches itself alone is alone
         facets = p.points.facet[p.rows[p.met[closed]]]
-        found |= set(np.unique(cell_body[p.slave.cells[facets]]).tolist())
+        found |= set(np.unique(p.slave.body[facets]).tolist())
         if plane:
             continue
         if contact.pairs.given is None:
             found |= set(p.rule.body(p.met_clump()[closed]).tolist())
         elif closed.any():
-            found |= set(np.unique(cell_body[p.master.cells]).tolist())
+            found |= p.master_bodies
     return set().union(*model.comm.allgather(found))
 
 

@@ -21,7 +21,7 @@ from forms.contact.integrals import SlavePoints
 from forms.contact.laws import Drag, History, InterfaceLaw, Response
 from forms.contact.smoothing import rounded, spread, to_corners
 from meshes.pairing import FACING
-from meshes.surface import Surface
+from meshes.sharing import SlaveFacets
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class PlanePass:
     plane: Plane
     start: Array
     normal: Array
-    slave: Surface
+    slave: SlaveFacets
     points: SlavePoints
     law: InterfaceLaw
     size: Array

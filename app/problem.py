@@ -124,9 +124,7 @@ class Problem:
         if self.contact is None:
             return
         with self.timer("contact"):
-            self.refresh()
-            values = self.model.state.x.array.reshape(-1, self.model.block)
-            self.contact.pair(self.state, values, self.model.coordinates, margin)
+            self.contact.pair(self.state, margin)
         if self._matrix is not None:
             self._matrix.forget_pattern()
 

@@ -55,7 +55,7 @@ class Points:
     def __init__(self, finished: Run) -> None:
         pressure, weight, place = [], [], []
         for p in finished.problem.contact.passes:
-            shape = p.master.kind.shape(p.projection.xi)
+            shape = p.slave.kind.shape(p.projection.xi)
             place.append(np.einsum("mk,mkd->md", shape, p.projection.nodes))
             pressure.append(np.maximum(-p.response.slope, 0.0))
             weight.append(p.share * p.points.weight[p.rows[p.met]])

@@ -258,7 +258,7 @@ class Stack:
         """Residual and tangent of the contact at nodal values (nodes, c), dense over (upper, partner) nodes."""
         state = fenicsx.petsc_vector(self.model.state)
         state.array[:] = values.ravel()
-        self.contact.pair(state, values, self.model.coordinates, 1.0)
+        self.contact.pair(state, 1.0)
         terms = self.contact.evaluate(state, tangent=True)
         assert len(self.contact.passes[0].met) == len(self.contact.passes[0].points.weight)
         nodes, c = self.contact.global_nodes(terms), values.shape[1]

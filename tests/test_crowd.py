@@ -91,14 +91,14 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     state = model.coordinate_vector()
     state.array[:] = 0.02 * rng.standard_normal(len(state.array))
     margin = 0.3
-    contact.pair(state, state.array_r.reshape(-1, model.block), model.coordinates, margin)
+    contact.pair(state, margin)
     contact.evaluate(state, tangent=False)
     (p,) = contact.passes
     position = model.coordinates + state.array_r.reshape(-1, model.block)[:, :3]
     facets, own = position[p.slave.nodes], p.points.facet
     points = np.einsum("mk,mkd->md", p.points.shape, facets[own])
     normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
-    body = p.rule.body(p.slave_clump)
+    body = p.rule.body(p.slave.clump)
     met = np.full(len(points), -1)
     met[p.rows[p.met]] = p.visible.key[p.facet[p.met]]
     chosen = rng.choice(len(points), 250, replace=False)
@@ -138,11 +138,10 @@ def test_what_comes_near_is_found_without_a_search_of_all(
         if step:
             motion[:, :3] = np.clip(motion[:, :3] + 0.02 * rng.standard_normal((len(motion), 3)), -0.15, 0.15)
         state.array[:] = motion[model.node_part[: model.owned]].ravel()
-        local = motion[model.node_part]
         found = []
         for i, c in enumerate((contact, anew)):
             if i or not step:
-                c.pair(state, local, model.coordinates, margin)
+                c.pair(state, margin)
             looked.clear()
             c.evaluate(state, tangent=False)
             work[i] += sum(looked)
@@ -209,8 +208,8 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     contact = contact_of(model)
     state = model.coordinate_vector()
     state.array[:] = 0.0
-    contact.pair(state, state.array_r.reshape(-1, model.block), model.coordinates, 0.3)
+    contact.pair(state, 0.3)
     contact.evaluate(state, tangent=False)
     (p,) = contact.passes
-    slave, master = p.rule.body(p.slave_clump[p.points.facet[p.rows[p.met]]]), p.rule.body(p.met_clump())
+    slave, master = p.rule.body(p.slave.clump[p.points.facet[p.rows[p.met]]]), p.rule.body(p.met_clump())
     assert len(p.met) > 20 and (slave < master).all() and p.share == 1.0

@@ -51,7 +51,7 @@ def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Cont
     contact = contact_of(model)
     state, change = model.coordinate_vector(), model.coordinate_vector()
     state.array[:], change.array[:] = 0.05 * rng.standard_normal((2, len(state.array)))
-    contact.pair(state, state.array_r.reshape(-1, model.block), model.coordinates, 10.0)
+    contact.pair(state, 10.0)
     return contact, state, change
 
 

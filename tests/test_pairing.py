@@ -366,8 +366,7 @@ def test_overlap_of_coarse_blocks_is_what_it_is(dim: int, cells: str, method: st
         model = Model(scene, create(comm, scene.geometry, scene.sizes))
         contact = contact_of(model)
         state = fenicsx.petsc_vector(model.state)
-        values = model.state.x.array.reshape(-1, model.block)
-        contact.pair(state, values, model.coordinates, max(contact.least_margin(), 2.0))
+        contact.pair(state, max(contact.least_margin(), 2.0))
         contact.evaluate(state, tangent=False)
         assert contact.penetration() == pytest.approx(overlap, abs=1e-12)
         # The points on the faces that meet are all there, and no others.

@@ -122,7 +122,7 @@ def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
     # Wide enough that points in the fading part of the law count too.
     for plane in contact.planes:
         plane.law.fade[:] = 0.3
-    contact.pair(state, state.array_r.reshape(-1, model.block), model.coordinates, 10.0)
+    contact.pair(state, 10.0)
 
     def energy(at: Any) -> float:
         contact.evaluate(at, tangent=False)

@@ -184,7 +184,7 @@ def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Contac
     local[:, :3] = motion(x)
     state = model.coordinate_vector()
     state.array[:] = local.ravel()
-    contact.pair(state, local, x, 0.5)
+    contact.pair(state, 0.5)
     contact.evaluate(state, tangent=False)
     return model, contact, (x + local[:, :3])[contact.nodes]
 
@@ -317,7 +317,7 @@ def test_nothing_of_straight_fibers_is_tried_against_themselves(cells: str, orde
     contact = contact_of(model)
     state = model.coordinate_vector()
     state.set(0.0)
-    contact.pair(state, state.array_r.reshape(-1, 3), model.coordinates, 1.0)
+    contact.pair(state, 1.0)
     (p,) = contact.passes
     own = [c for c in p.candidates if c is not None]
     assert len(own) == len(scene.body_names) < len(p.candidates)
