@@ -178,7 +178,7 @@ class Contact:
         nearer = 2.0 * np.sqrt(self.dim) * LARGEST_SHAPE[2]  # that two points can come if no component moves by more
         reach = self.reach + nearer * DRIFT * self._facet
         far = max(reach + NEAR * self._facet, self.ahead)
-        look = Search(self._keep, everywhere, reach, far, 2.0 * self.last_penetration, nearer * drift)
+        look = Search(self._keep, everywhere, reach, far, self.reach, 2.0 * self.last_penetration, nearer * drift)
         # A tangent is mostly asked for where the residual was evaluated last: partners and projections are at hand.
         same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
         self._partners_at = position
@@ -220,7 +220,7 @@ class Contact:
         if not self.cuts:
             return False
         before = self._reference + self._paired_at
-        slid = any(p.segments and p.has_slid(before, p.law.reach) for p in self.passes)
+        slid = any(p.segments and p.has_slid(before, self.reach) for p in self.passes)
         return self.comm.allreduce(slid, op=MPI.LOR)
 
     def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
@@ -244,12 +244,12 @@ class Contact:
         """
         sets = []
         for p in self.passes:
-            near = p.projection.gap < p.law.reach + ahead + NEAR * p.size[p.rows[p.met]]
+            near = p.projection.gap < self.reach + ahead + NEAR * p.size[p.rows[p.met]]
             facets, partners = p.points.facet[p.rows[p.met[near]]], p.facet[p.met[near]]
             pairs = np.unique(np.stack([facets, partners], axis=1), axis=0)
             sets.append(np.concatenate([p.slave_nodes[pairs[:, 0]], p.master_nodes[pairs[:, 1]]], axis=1))
         for p in self.planes:
-            near = p.projection.gap < p.law.reach + ahead + NEAR * p.size[p.rows]
+            near = p.projection.gap < self.reach + ahead + NEAR * p.size[p.rows]
             nodes = p.slave_nodes[np.unique(p.points.facet[p.rows[near]])]
             sets.append(np.concatenate([nodes, nodes], axis=1))
         return self.nodes[np.concatenate(sets)]

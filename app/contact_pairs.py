@@ -229,7 +229,8 @@ def _pass(
     numbers = global_numbers(model.space, master.nodes)
     masters = VisibleFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
     slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
-    near = model.largest_motion() + NEAR * depth
+    planes = [float(np.abs(plane.motion).max()) for plane in model.scene.planes if plane.motion is not None]
+    near = max([model.largest_motion(), *planes]) + NEAR * depth
     rank = even_ranks(comm, slaves, masters, master.reference, near, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = sent(comm, multiplicity(model.space, slave), rank) if unit else None

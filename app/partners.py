@@ -25,14 +25,15 @@ class Search:
 
     keep: share of a facet by which a point's projection may leave it. everywhere: whether points that meet nothing
     are looked at too, those that may be within `reach` (um) of something; far (um): how far off they may then find
-    it. depth (um): how deep inside a body a point may be at least. drift (um): how much nearer to each other things may
-    have come since the last search everywhere.
+    it. touch (um): up to where a point touches something. depth (um): how deep inside a body a point may be at least.
+    drift (um): how much nearer to each other things may have come since the last search everywhere.
     """
 
     keep: float
     everywhere: bool
     reach: float
     far: float
+    touch: float
     depth: float
     drift: float
 
@@ -57,7 +58,7 @@ def find_partners(p: ContactPass, position: Array, search: Search) -> None:
         keep = np.maximum(search.keep, np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT))
         left = have[kind.overshoot(projection.xi) > keep]
         # Something else may have come nearer than a partner that does not touch.
-        near[have] = np.where(projection.gap > p.law.reach, np.minimum(projection.gap, search.reach), -np.inf)
+        near[have] = np.where(projection.gap > search.touch, np.minimum(projection.gap, search.reach), -np.inf)
     lost = ~(p.clear > p.approach + near) & search.everywhere  # numbers or not
     lost[left] = True
     if lost.any():
@@ -97,5 +98,5 @@ def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.b
         clear[tried] = np.minimum(clear[tried], np.where(nearer, away[tried], off))
         tried, found, xi, gap = tried[nearer], found[nearer], xi[nearer], gap[nearer]
         least[tried], away[tried], p.facet[tried], p.xi[tried] = gap, off[nearer], facets[found], xi
-        p.found_beyond[tried] = np.where(gap > p.law.reach, kind.overshoot(xi), 0.0)
+        p.found_beyond[tried] = np.where(gap > search.touch, kind.overshoot(xi), 0.0)
     p.clear[lost] = clear[lost]
