@@ -97,9 +97,9 @@ class Stepper:
                 raise
             except SolveError as error:
                 report.cutbacks += 1
-                contact = self.problem.contact
-                if contact is None or not contact.adhesive or self.size > 0.5**SNAP_CUTBACKS:
-                    self._cut(step, target - done, error)
+                contact, tried = self.problem.contact, target - done  # the last part of a step may be a small rest
+                if contact is None or not contact.adhesive or tried > 0.5**SNAP_CUTBACKS:
+                    self._cut(step, tried, error)
                     continue
                 log.info("step %d: bonds snap: %s", step.number, error)
                 self._snap(step.factors(target), committed, report)

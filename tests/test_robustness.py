@@ -336,3 +336,23 @@ def test_what_has_failed_is_not_tried_again_as_it_is(monkeypatch: pytest.MonkeyP
     report = stepper.advance(Step(1, 1, {"press": 0.0}, {"press": 1.0}), lambda factors: None)
     assert done[-1] == 1.0 and report.cutbacks == len(tried) - len(done) + 1
     assert len(set(tried)) == len(tried) > len(done)
+
+
+def test_the_rest_of_a_step_snaps_as_a_part_of_its_size_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts grow from step to step and need not divide one: what is left at its end is small enough to snap."""
+    snapped: list[float] = []
+
+    def part(stepper: Stepper, factors: dict[str, float], committed: Any, report: StepReport) -> None:
+        if factors["press"] == 1.0:
+            raise SolveError("bonds snap")
+        committed(factors)
+
+    def snap(stepper: Stepper, factors: dict[str, float], committed: Any, report: StepReport) -> None:
+        snapped.append(factors["press"])
+
+    monkeypatch.setattr(Stepper, "_part", part)
+    monkeypatch.setattr(Stepper, "_snap", snap)
+    stepper = Stepper(SimpleNamespace(contact=SimpleNamespace(adhesive=True)), None, max_cutbacks=4)
+    stepper.size = 0.23828125
+    report = stepper.advance(Step(1, 1, {"press": 0.0}, {"press": 1.0}), lambda factors: None)
+    assert snapped == [1.0] and report.cutbacks == 3
