@@ -27,6 +27,7 @@ SIZES = {
     "3d-79k": ("crossed_fibers", 0.0201, 0.091),
     "3d-236k": ("crossed_fibers", 0.013, 0.065),
     "3d-583k": ("crossed_fibers", 0.0093, 0.0485),
+    "3d-1080k": ("crossed_fibers", 0.0077, 0.0401),
 }
 LAW = {"passes": 1, "normal_penalty": 1e5, "electric_penalty": 0.1, "electric_range": 0.002}
 
