@@ -229,9 +229,7 @@ def _pass(
     numbers = global_numbers(model.space, master.nodes)
     masters = VisibleFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
     slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
-    planes = [float(np.abs(plane.motion).max()) for plane in model.scene.planes if plane.motion is not None]
-    near = max([model.largest_motion(), *planes]) + NEAR * depth
-    rank = even_ranks(comm, slaves, masters, master.reference, near, rule)
+    rank = even_ranks(comm, slaves, masters, master.reference, _motion(model) + NEAR * depth, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = sent(comm, multiplicity(model.space, slave), rank) if unit else None
     slaves = slaves.sent(comm, rank)
@@ -246,6 +244,12 @@ def _pass(
     own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
     given = slaves, masters, frozenset(master_bodies), rule, points, law, 1.0 / keys.passes, first, size
     return ContactPass(number, *given, depth, own_depth, keys.method == "segment")
+
+
+def _motion(model: Model) -> float:
+    """How far boundaries and planes move, um: the largest component."""
+    planes = [float(np.abs(plane.motion).max()) for plane in model.scene.planes if plane.motion is not None]
+    return max([model.largest_motion(), *planes])
 
 
 def _interface_law(

@@ -66,6 +66,8 @@ def even_ranks(
     zero) in the undeformed state. Collective.
     """
     rank = np.full(len(slave), comm.rank, np.int32)
+    if comm.size == 1:
+        return rank
     clusters, masters = (
         Clusters.of(nodes.min(axis=1), nodes.max(axis=1), clump, CLUSTER)
         for nodes, clump in ((slave.reference, slave.clump), (master_reference, master.clump))
