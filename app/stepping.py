@@ -16,7 +16,7 @@ from app.solver import Newton
 log = logging.getLogger("piezomat")
 
 SNAP_CUTBACKS = 3  # times that a step is halved before bonds are taken to snap
-SNAP_PARTS = 1000  # in which they must come to rest: a crack that runs along 800 facets took 107
+SNAP_PARTS = 1000  # in which they must come to rest; the most that any took is 107
 SNAP_LEVELS, SNAP_FALL = 5, 0.25  # drag falls by this factor so many times before none is tried
 SNAP_WAIT = 3  # parts to go on with a drag after less of it has failed
 AUGMENTATIONS = 40  # of one solve
