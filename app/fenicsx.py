@@ -188,6 +188,20 @@ def nodes_per_cell(mesh: Any) -> int:
     return int(element.create_dof_layout().num_dofs)
 
 
+def placed(matrix: PETSc.Mat | None, sizes: Any, block: int, csr: Any, comm: MPI.Comm) -> PETSc.Mat:
+    """A matrix with the places and values of `csr`: the given one, or in its stead a new one. Collective.
+
+    PETSc 3.18 can take new places into a matrix in use, which spares the memory of a second one; 3.22 then writes
+    beyond its arrays on several ranks.
+    """
+    if matrix is not None and PETSc.Sys.getVersion()[:2] <= (3, 18):
+        matrix.setPreallocationCSR(csr)
+        return matrix
+    if matrix is not None:
+        matrix.destroy()  # this reference to it: solvers let go theirs when they get the new one
+    return PETSc.Mat().createAIJ(sizes, bsize=block, csr=csr, comm=comm)
+
+
 def corners_per_cell(mesh: Any) -> int:
     """Number of corners of a cell, also on a rank that has none."""
     return dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, 0)

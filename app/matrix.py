@@ -11,6 +11,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from app import fenicsx
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -123,10 +125,8 @@ class TangentMatrix:
             self._columns[pattern.places(keys)] = ((keys % self._total)[:, None] * b + np.arange(b))[:, None]
         del bulk
         csr = pattern.pointer, self._columns, values
-        if self.matrix is None:
-            self.matrix = PETSc.Mat().createAIJ(self._sizes, bsize=b, csr=csr, comm=self.comm)
-        elif fresh:
-            self.matrix.setPreallocationCSR(csr)
+        if fresh:
+            self.matrix = fenicsx.placed(self.matrix, self._sizes, b, csr, self.comm)
         else:
             self.matrix.setValuesCSR(*csr)
         self.rebuilds += fresh
