@@ -71,6 +71,8 @@ class Contact:
         total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
         self._coordinates, self._along = coordinates, along
+        # What this rank's slave and master facets are made of; what it sees besides changes with every pairing.
+        self._surfaces = self._seen([facets.nodes for p in self.passes for facets in (p.slave, p.master)])
         self.margin = 0.0  # of the last pairing, um
         self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
         self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
@@ -89,15 +91,16 @@ class Contact:
         more than half of it.
         """
         self.margin = margin
-        self._see([facets.nodes for p in self.passes for facets in (p.slave, p.master)])
-        position = self._reference + self.gather(state)[:, : self.dim]
+        nodes, exchange, reference = self._surfaces
+        position = reference + exchange.take(state).reshape(-1, self.components)[:, : self.dim]
         needed = []
         for p in self.passes:
-            slave, master = (position[np.searchsorted(self.nodes, facets.nodes)] for facets in (p.slave, p.master))
+            slave, master = (position[np.searchsorted(nodes, facets.nodes)] for facets in (p.slave, p.master))
             p.visible = share_facets(self.comm, slave, p.slave.clump, p.master, master, margin, p.rule)
             needed += [p.slave.nodes, p.visible.nodes]
         # All planes meet the same surface.
-        self._see(needed + [p.slave.nodes for p in self.planes[:1]])
+        needed += [p.slave.nodes for p in self.planes[:1]]
+        self.nodes, self._exchange, self._reference = self._seen(needed)
         along = self.gather(self._along)[:, 0] if self._along is not None else None
         values = self.gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
@@ -121,12 +124,12 @@ class Contact:
         self.outgrown = False
         self._keep, self._exact = KEEP[0][1], True
 
-    def _see(self, numbers: list[NDArray[np.int64]]) -> None:
-        """Take these global nodes for those that this rank sees."""
-        self.nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, numbers)]))
-        wanted = PETSc.IS().createBlock(self.components, self.nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
-        self._exchange = Exchange(self._coordinates, wanted)
-        self._reference = self.gather(self._coordinates)[:, : self.dim]
+    def _seen(self, numbers: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], Exchange, Array]:
+        """Nodes with these global numbers: each once, the exchange of their unknowns, where they are at first."""
+        nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, numbers)]))
+        wanted = PETSc.IS().createBlock(self.components, nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+        exchange = Exchange(self._coordinates, wanted)
+        return nodes, exchange, exchange.take(self._coordinates).reshape(-1, self.components)[:, : self.dim]
 
     def _meet_clumps(self, p: ContactPass, position: Array, margin: float) -> None:
         """Find the points near facets that they may meet, and which clumps each of them is near."""
