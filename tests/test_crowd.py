@@ -154,7 +154,9 @@ def test_what_comes_near_is_found_without_a_search_of_all(
         # At the edge of an end a partner is kept that a point paired anew would not take any more: it is deeper in.
         assert (found[0][acts] < p.law.reach + 0.01).all()
         same = np.isclose(found[0][acts], found[1][acts], atol=1e-3)
-        assert same.mean() > 0.9
+        # A rank may have none of them: which cells are whose depends on the machine.
+        agree, all_of_them = comm.allreduce(same.sum()), comm.allreduce(len(same))
+        assert agree > 0.9 * all_of_them > 0
         acting.append(acts)
         new += int((acts & ~acting[0]).sum())
     assert comm.allreduce(new) > 200
