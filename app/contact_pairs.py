@@ -21,7 +21,7 @@ from app.scene_sections import SIDES, Plane
 from app.scene_sections import Contact as ContactKeys
 from forms.contact.augmentation import corner_kind
 from forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
-from forms.contact.laws import Adhesion, InterfaceLaw
+from forms.contact.laws import Adhesion, InterfaceLaw, pull_in_range
 from forms.contact.lennard_jones import LennardJones
 from meshes.crowd import MASTER, ONE_TO_ONE, SLAVE, Rule, VisibleFacets
 from meshes.nodal_normals import smoothed
@@ -163,7 +163,7 @@ def _planes(model: Model, first_number: int) -> list[PlanePass]:
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]))
         electric = permittivity if plane.potential is not None else None
-        law = _interface_law(keys, size, stiffness, electric, None)
+        law = _interface_law(model, keys, size, stiffness, electric, adhesive=False)
         found.append(PlanePass(number, plane, start, normal, outside, points, law, size))
     return found
 
@@ -240,7 +240,7 @@ def _pass(
     permittivity = np.full(len(size), min(m.mean_permittivity for m in materials))
     # Where one of the bodies has no permittivity, no charge passes.
     electric = permittivity if all(m.electric for m in materials) else None
-    law = _interface_law(keys, size, stiffness, electric, model)
+    law = _interface_law(model, keys, size, stiffness, electric, adhesive=True)
     own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
     given = slaves, masters, frozenset(master_bodies), rule, points, law, 1.0 / keys.passes, first, size
     return ContactPass(number, *given, depth, own_depth, keys.method == "segment")
@@ -253,9 +253,9 @@ def _motion(model: Model) -> float:
 
 
 def _interface_law(
-    keys: ContactKeys, size: Array, stiffness: Array, permittivity: Array | None, adhesive: Model | None
+    model: Model, keys: ContactKeys, size: Array, stiffness: Array, permittivity: Array | None, *, adhesive: bool
 ) -> InterfaceLaw:
-    """The law at points with these facet sizes (m,), stiffnesses (m,) and permittivities (m,); adhesive: of a model."""
+    """The law at points with these facet sizes (m,), stiffnesses (m,) and permittivities (m,)."""
     penalty = np.full(len(size), keys.normal_penalty or 0.0)
     if keys.normal_penalty is None:
         penalty = keys.normal_penalty_factor * stiffness / size
@@ -264,8 +264,11 @@ def _interface_law(
         electric = np.where(permittivity > 0.0, keys.electric_penalty or 0.0, 0.0)
         if keys.electric_penalty is None:
             electric = keys.electric_penalty_factor * permittivity / size
-        fade = FADE * size if keys.electric_range is None else np.full(len(size), keys.electric_range)
-    adhesion = _adhesion(adhesive, penalty) if adhesive is not None else None
+        if keys.electric_range is not None:
+            fade = np.full(len(size), keys.electric_range)
+        else:
+            fade = np.maximum(FADE * size, pull_in_range(model.largest_voltage(), permittivity, stiffness))
+    adhesion = _adhesion(model, penalty) if adhesive else None
     return InterfaceLaw(penalty, adhesion, electric, fade)
 
 

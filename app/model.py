@@ -144,6 +144,17 @@ class Model:
         here = max((float(np.abs(self.fixed_values(end)[moved]).max(initial=0.0)) for end in ends), default=0.0)
         return self.comm.allreduce(here, op=MPI.MAX)
 
+    def largest_voltage(self) -> float:
+        """Largest difference of the potentials that boundaries and planes prescribe at once, V."""
+        load, largest = self.scene.load, 0.0
+        for stage in range(-1, len(load.steps)):
+            factors = {name: values[stage] if stage >= 0 else 0.0 for name, values in load.factors.items()}
+            given = [(b.potential, b.follows) for b in self.scene.boundaries]
+            given += [(p.potential, p.potential_follows) for p in self.scene.planes]
+            values = [v * (factors[name] if name is not None else 1.0) for v, name in given if v is not None]
+            largest = max(largest, max(values, default=0.0) - min(values, default=0.0))
+        return largest
+
     def set_loads(self, factors: dict[str, float]) -> None:
         """Set the load forms' constants to these load factors."""
         for constant, value, boundary in self._load_constants:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+from mpi4py import MPI
+
 from app import fenicsx
 from app.contact import Contact
+from app.contact_pairs import FADE
 from app.linear import direct_limit_3d, is_direct
 from app.model import Model
 from app.scene_errors import named
@@ -21,6 +25,7 @@ def plan_text(model: Model, contact: Contact | None) -> str:
         ("material law", _law(model)),
         ("held", _held(model)),
         ("contact", _contact(model, contact)),
+        *_electric(model, contact),
         ("adhesion", _adhesion(model)),
         *_planes(model),
         ("load", _load(model)),
@@ -103,6 +108,20 @@ def _contact(model: Model, contact: Contact | None) -> str:
     if keys.self_contact and not listed:
         what += ", and each with itself"
     return f"{what}, {where}, {passes}, {points} points, penalties for {both}{curved}"
+
+
+def _electric(model: Model, contact: Contact | None) -> list[tuple[str, str]]:
+    fades = [p.law.fade for p in contact.every if p.law.fade is not None] if contact is not None else []
+    if not model.comm.allreduce(len(fades)):
+        return []
+    keys, voltage = model.scene.contact, model.largest_voltage()
+    if keys is not None and keys.electric_range is not None:
+        text = f"fades out over a gap of {keys.electric_range:g} um, as the scene asks"
+    else:
+        least = model.comm.allreduce(min(float(f.min(initial=np.inf)) for f in fades), op=MPI.MIN)
+        why = f", or what keeps surfaces {voltage:g} V apart from pulling each other in" if voltage else ""
+        text = f"fades out over a gap of {least:.2g} um or more: {FADE:g} facets{why}"
+    return [("electric contact", text)]
 
 
 def _planes(model: Model) -> list[tuple[str, str]]:

@@ -307,7 +307,7 @@ class Contact(Keys):
         description="method node only; unit: one spring per node with no area; default area",
     )
     electric_range: Positive | None = Field(
-        None, description="gap over which the electric contact fades out, um; absent: chosen by the program"
+        None, description="gap over which the electric contact fades out, um; absent: chosen, see plan"
     )
     adhesion: Adhesion | None = None
 

@@ -28,6 +28,10 @@ LINE_SEARCHES = 30
 UPHILL_GROWTH = 10.0  # how much a step that leads uphill may increase the residual
 SHORTEST_STEP = 1e-3
 JUMP = 1e-2  # share of a step within which a line search leaves a jump of the slope
+FLIPS = (
+    "a point flips between two facets: it is in equilibrium on neither (if they are flat, contact.smoothing gives them "
+    "one normal)"
+)
 PULLING = 1e-3  # of the forces: out of balance by less, floating bodies feel how the electric contact pulls
 REFINEMENTS = 5  # of a linear solve
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
@@ -135,7 +139,7 @@ class Newton:
                     self._polish(report)
                     return
                 else:
-                    raise SolveError("a point flips between two facets: it is in equilibrium on neither")
+                    raise SolveError(FLIPS)
             else:
                 margin = 2.0 * margin
             if problem.motion() > FLOWN * problem.model.part_size.max():

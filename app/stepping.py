@@ -6,12 +6,16 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+from mpi4py import MPI
+
 from app.augmentation import augment
 from app.outcome import NewtonReport, SolveError
 from app.problem import Problem
 from app.scene_sections import Load
 from app.snap import snap_work
 from app.solver import Newton
+from forms.contact.laws import pull_in_range
 
 log = logging.getLogger("piezomat")
 
@@ -23,6 +27,7 @@ AUGMENTATIONS = 40  # of one solve
 # Facets. A wave of length l in the surface that points press on shortens their way out by half of g (2 pi / l)^2 times
 # its height squared: deep inside, at a gap -g, that frees more energy of the penalty than the wave costs the body.
 DEEP = 0.5
+PULLED_IN = 0.7  # of the gap that `pull_in_range` asks for: less is named as what may have failed a step
 DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
 
 
@@ -170,9 +175,20 @@ class Stepper:
             return ""
         self.revisit()
         depth = self.problem.contact.depth()
-        if depth <= DEEP:
+        if depth > DEEP:
+            return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
+        model = self.problem.model
+        fades = [float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.every if p.law.fade is not None]
+        fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
+        voltage = max(model.largest_voltage(), self.problem.potential_range())
+        permittivity = min((m.mean_permittivity for m in model.materials if m.electric), default=0.0)
+        wanted = pull_in_range(voltage, permittivity, min(m.mean_stiffness for m in model.materials))
+        if fade >= PULLED_IN * wanted:
             return ""
-        return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
+        return (
+            f" (over a gap of {fade:.2g} um, where the electric contact fades out, surfaces {voltage:.3g} V apart may "
+            f"pull harder than bodies resist: raise contact.electric_range to {wanted:.2g})"
+        )
 
     def _snap(
         self, factors: dict[str, float], committed: Callable[[dict[str, float]], None], report: StepReport

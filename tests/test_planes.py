@@ -83,6 +83,31 @@ def test_a_block_between_planes_is_in_the_uniform_state(comm: MPI.Comm, dimensio
     assert last["elastic"] == pytest.approx(0.5 * pressure**2 / modulus * HEIGHT * area, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("volts", "given", "voltage"),
+    [
+        ([0.0, 1.0], None, VOLTAGE),
+        ([0.5, -2.0], None, 2.0 * VOLTAGE),
+        ([0.0, 1.0], 100.0, 100.0),
+        ([0.1, 1.0], -1.0, 4.0),
+    ],
+)
+def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
+    volts: list[float], given: float | None, voltage: float, comm: MPI.Comm
+) -> None:
+    """The largest there is at once: of floor and lid at the end of either stage, and of the root if it has any."""
+    scene = block(load={"steps": [2, 1], "factors": {"press": [1.0, 1.0], "volts": volts}})
+    (root,) = scene.boundaries
+    scene = scene.model_copy(update={"boundaries": [root.model_copy(update={"potential": given})]})
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    assert model.largest_voltage() == pytest.approx(voltage)
+    stiffness = model.materials[0].mean_stiffness
+    wanted = 3.0 * voltage * np.sqrt(PERMITTIVITY / stiffness)
+    for plane in contact_of(model).planes:
+        assert plane.law.fade == pytest.approx(np.maximum(0.1 * plane.size, wanted))
+        assert len(np.unique(plane.law.fade)) == (1 if voltage == 100.0 else 2)
+
+
 def test_an_insulating_plane_shows_the_voltage_of_what_touches_it(comm: MPI.Comm) -> None:
     scene = block(
         bodies={"layer_1": "pvdf"},

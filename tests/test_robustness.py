@@ -223,6 +223,55 @@ def test_surfaces_too_far_inside_each_other_are_named_as_the_reason() -> None:
         run(scene.model_copy(update={"solver": scene.solver.model_copy(update={"max_cutbacks": 3})}), MPI.COMM_SELF)
 
 
+def strongly_coupled(voltage: float, size: float = 0.02, **contact: Any) -> Scene:
+    """Half discs of PZT-5H between electrodes that a traction presses together: nothing but contact holds the upper."""
+    return Scene(
+        geometry={"shape": "facing_halves"},
+        mesh={"size": 0.12, "contact_size": size, "size_factors": {"upper": 0.9}},
+        bodies={"lower": "pzt5h", "upper": "pzt5h"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {
+                "on": "top",
+                "displacement": [0, "free"],
+                "traction": [0, -40],
+                "potential": voltage,
+                "follows": "press",
+            },
+        ],
+        contact=contact,
+        load={"steps": [4], "factors": {"press": [1]}},
+        output={"fields": "none", "picture": False},
+    )
+
+
+@pytest.mark.parametrize("method", ["point", "segment", "node"])
+@pytest.mark.parametrize("voltage", [20.0, 50.0, -50.0])
+def test_electrodes_across_a_contact_do_not_pull_surfaces_together(voltage: float, method: str) -> None:
+    """Over a tenth of a facet, as the electric contact faded out, they did: no step converged from 20 V on."""
+    last = run(strongly_coupled(voltage, method=method), MPI.COMM_SELF).history[-1]
+    # The top is 1 um wide.
+    assert last["force_y@bottom"] == pytest.approx(40.0, rel=1e-6)
+    assert last["contact_force_y@lower-upper"] == pytest.approx(-40.0, rel=1e-6)
+    assert last["charge@bottom"] == pytest.approx(-last["charge@top"], rel=1e-6)
+    assert last["charge@top"] * voltage > 0.0
+    assert last["max_potential_jump@lower-upper"] < 0.02 * abs(voltage)
+
+
+def test_the_charge_of_a_contact_between_electrodes_does_not_hang_on_the_mesh() -> None:
+    """The gap over which it fades out is the voltage's and not the facet's: 20 V leave 0.270, 0.273, 0.275 pC."""
+    charges = [run(strongly_coupled(20.0, size), MPI.COMM_SELF).history[-1]["charge@top"] for size in (0.02, 0.01)]
+    assert charges[0] == pytest.approx(charges[1], rel=0.02)
+
+
+def test_a_gap_too_short_for_the_voltage_is_named_as_the_reason() -> None:
+    scene = strongly_coupled(50.0, electric_range=0.002)
+    with pytest.raises(
+        NotConverged, match=r"surfaces 50 V apart may pull harder.*raise contact.electric_range to 0.05"
+    ):
+        run(scene.model_copy(update={"solver": scene.solver.model_copy(update={"max_cutbacks": 1})}), MPI.COMM_SELF)
+
+
 def test_the_voltage_does_not_scatter_with_the_mesh() -> None:
     """Where the electric contact ends abruptly it does, by 0.5 %; a charge that fades out leaves 0.1 %."""
     scatter = []

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that it has a slope
 RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
+# In voltage sqrt(permittivity/stiffness), which is the gap over which that voltage pulls with half the stiffness.
+# Measured on half discs of PZT-5H under a traction, facets of 0.005 to 0.02 um: 2 fails at 50 V, 4 does no better.
+PULL_IN = 3.0
 SAME = 1e-10  # of the final opening: a point this near to its largest opening unloads, whatever the round-off says
 
 
@@ -303,6 +306,14 @@ class InterfaceLaw:
             response.slope = response.slope - 0.5 * rho * s1 * jump**2
             stiffness = -0.5 * rho * s2 * jump**2
             response.curvature = response.curvature + (stiffness if exact else np.maximum(stiffness, 0.0))
+
+
+def pull_in_range(voltage: float, permittivity: Array, stiffness: Array) -> Array:
+    """Gap (m,) um: where contact fades out over less, surfaces so many V apart pull harder than bodies resist.
+
+    permittivity (m,) pC/(V um), stiffness (m,) MPa. Facets four times finer asked for no less.
+    """
+    return PULL_IN * voltage * np.sqrt(permittivity / stiffness)
 
 
 def _fade(x: Array) -> tuple[Array, Array, Array]:
