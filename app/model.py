@@ -255,7 +255,8 @@ class Model:
                 raise SceneError(
                     f"boundaries[{index}].on", f'a load on "{name}", inside a body', "a group of the outside"
                 )
-        sets = sorted(set().union(*self.comm.allgather({tuple(row) for row in member.tolist() if any(row)})))
+        sets = {tuple(row) for row in member[member.any(axis=1)].tolist()}
+        sets = sorted(set().union(*self.comm.allgather(sets)))
         tags = np.zeros(len(member), np.int32)
         for number, row in enumerate(sets, start=1):
             tags[(member == row).all(axis=1)] = number
