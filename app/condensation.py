@@ -30,6 +30,7 @@ Integers = NDArray[np.int64]
 # How far apart surfaces are that may come to touch, over the largest motion that is prescribed: half of it for equal
 # bodies (Hertz), and more where they give.
 AHEAD = 0.75
+SAME = 1e-9  # of all forces: those inside that differ by less from earlier ones, or a multiple, ask nothing new
 INTERIOR = 1e-10  # a residual inside, this small against all of it, is rounding
 
 
@@ -43,8 +44,8 @@ class Condensation:
         self.candidates = np.zeros(0, np.int64)
         self._ahead = problem.contact.ahead = AHEAD * (problem.model.largest_motion() or problem.contact.least_margin())
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
-        self._base: PETSc.Vec | None = None
         self._of = -1
+        self._forces = 0.0  # the largest in the last solve that was not for the candidates alone
         self._factors = SchurFactors()
         self._parts = self._divide()
         self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
@@ -60,7 +61,7 @@ class Condensation:
         nodes, matrices = self.problem.contact_terms()
         inside = np.isin(nodes, self.candidates).all(axis=1)
         outgrown = self.comm.allreduce(not inside.all(), op=MPI.LOR)
-        if self._base is not None:
+        if self.holds:
             self.outgrown = self.outgrown or outgrown
             nodes, matrices = nodes[inside], matrices[inside]
         elif outgrown or self._of != self.problem.renewals:
@@ -103,6 +104,7 @@ class Condensation:
         unknowns = _unknowns(candidates, b)
         self._own = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._places])
         gathered = self.comm.gather((self._own, reduced, ~self._fixed[self._places]))
+        self._asked = np.zeros(first), np.zeros(len(self._places))  # forces inside, and what they did
         self._reduced: Array | None = None
         if gathered is not None:
             self._reduced = np.zeros((len(unknowns), len(unknowns)))
@@ -133,15 +135,20 @@ class Condensation:
 
     def hold(self, x: PETSc.Vec) -> None:
         """If the inside is in equilibrium at x, leave it there: from here on states are told by the candidates."""
-        if self._base is not None:
+        if self.holds:
             return
         residual = self.problem.bulk_residual(x)
         r = self._exchange.take(residual)
-        scale = np.abs(r).max(initial=0.0)
+        scale = max(np.abs(r).max(initial=0.0), self._forces)  # all forces may be gone where a body moves as a whole
         r[self._fixed] = 0.0
         if self._balanced(r, scale):
             self._base, self._base_residual = self._exchange.take(x), residual
-            self.problem.condensed = self
+            self.problem.condensed, self.outgrown = self, False
+
+    @property
+    def holds(self) -> bool:
+        """Whether the inside is left behind: since `hold`, until `complete` or until the surfaces are paired anew."""
+        return self.problem.condensed is self
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Residual of the bulk at x, were its inside in equilibrium; at fixed unknowns still that of `hold`."""
@@ -153,14 +160,14 @@ class Condensation:
 
     def complete(self, x: PETSc.Vec) -> bool:
         """Let the inside of x, left behind by `hold`, follow; whether contact has spread beyond the candidates."""
-        if self._base is None:
+        if not self.holds:
             return False
         change = self._exchange.take(x) - self._base
         change[self._places] = self._factors.reduced(change[self._places])
         change = self._factors.solve(change)
         change[self._places] = 0.0
         self._exchange.add(change, x)
-        self._base = self.problem.condensed = None
+        self.problem.condensed = None
         spread, self.outgrown = self.outgrown, False
         return spread
 
@@ -176,9 +183,10 @@ class Condensation:
         r = self._exchange.take(right)
         outer = r[self._places]
         condensed = outer
-        balanced = self._base is not None or self._balanced(r, np.abs(r).max(initial=0.0))
-        if not balanced:
-            condensed = self._factors.reduced(self._factors.solve(r)[self._places])
+        if not self.holds:
+            self._forces = float(reductions.largest(self.comm, np.array([np.abs(r).max(initial=0.0)]))[0])
+            if not self._balanced(r, self._forces):
+                condensed = outer + self._from_inside(r)
         gathered = self.comm.gather((self._own, condensed))
         whole = None
         if gathered is not None:
@@ -188,7 +196,7 @@ class Condensation:
             if self._lu is not None:
                 whole = scipy.linalg.lu_solve(self._lu, whole, check_finite=False)
         change = self.comm.bcast(whole)[self._own]
-        if self._base is not None:
+        if self.holds:
             r[:] = 0.0
             r[self._places] = change
         else:
@@ -196,6 +204,17 @@ class Condensation:
             r = self._factors.solve(r)
         result.set(0.0)
         self._exchange.add(r, result)
+
+    def _from_inside(self, r: Array) -> Array:
+        """What forces r inside do to the candidates, -K_ci K_ii^-1 r_i; equal steps of a load ask for it once."""
+        inner = r.copy()
+        inner[self._places] = 0.0
+        before, answer = self._asked
+        share = (inner @ before) / (before @ before) if before.any() else 0.0
+        if np.abs(inner - share * before).max(initial=0.0) > SAME * self._forces:
+            share, answer = 1.0, self._factors.reduced(self._factors.solve(inner)[self._places])
+            self._asked = inner, answer
+        return share * answer
 
     def _divide(self) -> list[Integers]:
         """Whole parts for each rank, the largest first to the one with the least; the nodes of each, sorted."""

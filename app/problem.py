@@ -121,6 +121,7 @@ class Problem:
 
     def pair(self, margin: float) -> None:
         """Pair the contact surfaces at the present state, looking `margin` (um) around every point."""
+        self.condensed = None  # where a solve has failed on the way, its inside is not that of this state
         if self.contact is None:
             return
         with self.timer("contact"):

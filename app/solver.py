@@ -28,10 +28,7 @@ LINE_SEARCHES = 30
 UPHILL_GROWTH = 10.0  # how much a step that leads uphill may increase the residual
 SHORTEST_STEP = 1e-3
 JUMP = 1e-2  # share of a step within which a line search leaves a jump of the slope
-FLIPS = (
-    "a point flips between two facets: it is in equilibrium on neither (if they are flat, contact.smoothing gives them "
-    "one normal)"
-)
+FLIPS = "a point flips between two facets: it is in equilibrium on neither (contact.smoothing joins flat ones)"
 PULLING = 1e-3  # of the forces: out of balance by less, floating bodies feel how the electric contact pulls
 REFINEMENTS = 5  # of a linear solve
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
@@ -63,7 +60,6 @@ class Newton:
         self._trial_is_next = False
         self._reference = np.zeros(1 + problem.model.electric)
         self._repair = False
-        self._misses = 0
         self._linear_solve = ExitStack()
         self._springs = Springs(problem, self._solve)
         prefix = next(PREFIXES)
@@ -208,6 +204,11 @@ class Newton:
         self._check_ksp(ksp)
         report.iterations += 1
         report.krylov += ksp.getIterationNumber()
+        if self._condensed_few():
+            # From here on contact answers alone: what is foreseen of it takes no solve inside.
+            self._trial.waxpy(1.0, self._change, problem.state)
+            self._trial.array[fixed] = problem.targets
+            self.linear.condensation.hold(self._trial)
         self._foresee(problem.state, self._change, 1.0)
         problem.state.axpy(1.0, self._change)
         problem.state.array[fixed] = problem.targets

@@ -10,8 +10,10 @@ from petsc4py import PETSc
 
 from app import linear
 from app.condensation import Condensation
+from app.outcome import NewtonReport, SolveError
 from app.schur import SchurFactors
 from app.simulation import run
+from app.solver import Newton
 from tests.histories import assert_equal
 from tests.scenes import pressed
 
@@ -67,6 +69,46 @@ def test_candidates_grow_with_the_contact(comm: MPI.Comm, monkeypatch: pytest.Mo
     ]
     run(pressed(2, mesh={"size": 0.15, "contact_size": 0.02}, boundaries=boundaries), comm)
     assert len(set(counts)) > 1 and counts == sorted(counts)
+
+
+@pytest.mark.mpi
+def test_equal_steps_ask_once_what_the_inside_does(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three solves with the factors for the first step, two for each that follows."""
+    solves, solve = [0], SchurFactors.solve
+
+    def counted(self: SchurFactors, right: np.ndarray) -> np.ndarray:
+        solves[0] += 1
+        return solve(self, right)
+
+    monkeypatch.setattr(SchurFactors, "solve", counted)
+    history = run(pressed(2, load={"steps": [4], "factors": {"press": [1.0]}}, solver={}), comm).history
+    assert len(history) == 4 and not any(row["cutbacks"] for row in history)
+    assert comm.allreduce(solves[0], op=MPI.MAX) == 1 + 2 * 4  # a rank may have no body
+
+
+@pytest.mark.mpi
+def test_a_solve_that_fails_on_the_way_leaves_nothing_behind(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next one began with the inside of the one that had failed."""
+    reference = run(pressed(2, load={"steps": [2], "factors": {"press": [1.0]}}), comm).history
+    shorten, broken = Newton._shorten, []
+
+    def breaks_once(self: Newton, x: PETSc.Vec, step: PETSc.Vec) -> None:
+        if not broken:
+            broken.append(self.linear.condensation.holds)
+            raise SolveError("on purpose")
+        shorten(self, x, step)
+
+    residual, began = Newton._predict, []
+
+    def predict(self: Newton, report: NewtonReport, *, closely: bool = False) -> None:
+        began.append(self.problem.condensed is None)
+        residual(self, report, closely=closely)
+
+    monkeypatch.setattr(Newton, "_shorten", breaks_once)
+    monkeypatch.setattr(Newton, "_predict", predict)
+    history = run(pressed(2, load={"steps": [1], "factors": {"press": [1.0]}}), comm).history
+    assert broken == [True] and all(began) and history[-1]["cutbacks"] == 1
+    assert_equal(history[-1:], reference[-1:], (*EFFORT, "cutbacks", "step"))
 
 
 @pytest.mark.mpi
