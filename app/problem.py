@@ -194,7 +194,8 @@ class Problem:
 
     def prescribed_motion(self) -> float:
         """How far this load level moves a node whose displacement is fixed, um: the largest component."""
-        change = np.abs(self.displacements(self.fixed_change()))
+        fixed = self.model.fixed
+        change = np.abs(self.targets - self.state.array_r[fixed])[fixed % self.model.block < self.model.dim]
         return self.maximum(float(change.max(initial=0.0)))
 
     def refresh(self) -> None:
