@@ -45,7 +45,6 @@ class Condensation:
         self._ahead = problem.contact.ahead = AHEAD * (problem.model.largest_motion() or problem.contact.least_margin())
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._of = -1
-        self._forces = 0.0  # the largest in the last solve that was not for the candidates alone
         self._factors = SchurFactors()
         self._parts = self._divide()
         self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
@@ -139,7 +138,7 @@ class Condensation:
             return
         residual = self.problem.bulk_residual(x)
         r = self._exchange.take(residual)
-        scale = max(np.abs(r).max(initial=0.0), self._forces)  # all forces may be gone where a body moves as a whole
+        scale = np.abs(r).max(initial=0.0)
         r[self._fixed] = 0.0
         if self._balanced(r, scale):
             self._base, self._base_residual = self._exchange.take(x), residual
@@ -167,9 +166,13 @@ class Condensation:
         change = self._factors.solve(change)
         change[self._places] = 0.0
         self._exchange.add(change, x)
-        self.problem.condensed = None
-        spread, self.outgrown = self.outgrown, False
+        spread = self.outgrown
+        self.let_go()
         return spread
+
+    def let_go(self) -> None:
+        """End `hold`: the inside, where it is, takes part in every solve again."""
+        self.problem.condensed, self.outgrown = None, False
 
     def _balanced(self, r: Array, scale: float) -> bool:
         """Whether no more of r is inside than what is rounding against `scale`."""
@@ -184,9 +187,9 @@ class Condensation:
         outer = r[self._places]
         condensed = outer
         if not self.holds:
-            self._forces = float(reductions.largest(self.comm, np.array([np.abs(r).max(initial=0.0)]))[0])
-            if not self._balanced(r, self._forces):
-                condensed = outer + self._from_inside(r)
+            scale = float(reductions.largest(self.comm, np.array([np.abs(r).max(initial=0.0)]))[0])
+            if not self._balanced(r, scale):
+                condensed = outer + self._from_inside(r, scale)
         gathered = self.comm.gather((self._own, condensed))
         whole = None
         if gathered is not None:
@@ -205,13 +208,13 @@ class Condensation:
         result.set(0.0)
         self._exchange.add(r, result)
 
-    def _from_inside(self, r: Array) -> Array:
+    def _from_inside(self, r: Array, scale: float) -> Array:
         """What forces r inside do to the candidates, -K_ci K_ii^-1 r_i; equal steps of a load ask for it once."""
         inner = r.copy()
         inner[self._places] = 0.0
         before, answer = self._asked
         share = (inner @ before) / (before @ before) if before.any() else 0.0
-        if np.abs(inner - share * before).max(initial=0.0) > SAME * self._forces:
+        if np.abs(inner - share * before).max(initial=0.0) > SAME * scale:
             share, answer = 1.0, self._factors.reduced(self._factors.solve(inner)[self._places])
             self._asked = inner, answer
         return share * answer

@@ -185,9 +185,7 @@ class Newton:
         self._operators = self.linear.linearize(problem.state)
         problem.multiply(change, self._change)
         self._right.axpy(-1.0, self._change)
-        free = self._right.array_r.copy()
-        free[fixed] = 0.0
-        self._right.array[:] = free
+        self._right.array[fixed] = 0.0
         self._reference = np.maximum(self._reference, problem.norms(self._right))
         self._right.array[fixed] = change.array_r[fixed]
         ksp = self.snes.getKSP()
@@ -207,7 +205,6 @@ class Newton:
         if self._condensed_few():
             # From here on contact answers alone: what is foreseen of it takes no solve inside.
             self._trial.waxpy(1.0, self._change, problem.state)
-            self._trial.array[fixed] = problem.targets
             self.linear.condensation.hold(self._trial)
         self._foresee(problem.state, self._change, 1.0)
         problem.state.axpy(1.0, self._change)
@@ -235,6 +232,9 @@ class Newton:
             # The bulk is linear, and stays in balance with what contact was to answer.
             problem.contact_after(change, self._right)
             self._operators = self.linear.linearize(x)
+            if self.linear.condensation.outgrown:
+                self.linear.condensation.let_go()
+                self._operators = self.linear.linearize(x)  # with more candidates
             problem.contact_after(change, self._trial)
             self._right.axpy(-1.0, self._trial)
             self._right.array[problem.model.fixed] = 0.0
