@@ -180,7 +180,7 @@ class Stepper:
         model = self.problem.model
         fades = [float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.every if p.law.fade is not None]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
-        voltage = max(model.largest_voltage(), self.problem.potential_range())
+        voltage = model.largest_voltage()  # what the bodies make of their strain has never pulled them together
         permittivity = min((m.mean_permittivity for m in model.materials if m.electric), default=0.0)
         wanted = pull_in_range(voltage, permittivity, min(m.mean_stiffness for m in model.materials))
         if fade >= PULLED_IN * wanted:
