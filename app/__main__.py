@@ -1,6 +1,6 @@
 """`python3 -m app`: the same commands as `piezomat`."""
 
-from app.cli import main
+from piezomat.cli import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

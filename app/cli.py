@@ -19,11 +19,11 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-from app import scene_file
-from app.files import on_root
-from app.scene import MeshError, Scene, SceneError, mesh_error, schema
-from app.scene_errors import named
-from app.startup import importing
+from piezomat.results.atomic import on_root
+from piezomat.scene import toml as scene_file
+from piezomat.scene.errors import named
+from piezomat.scene.scene import MeshError, Scene, SceneError, mesh_error, schema
+from piezomat.startup import importing
 
 DONE, FAILED, WRONG_SCENE, NOT_CONVERGED = 0, 1, 2, 3
 
@@ -132,9 +132,9 @@ def _resume(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 def _simulate(scene: Scene, comm: MPI.Comm, out: Path, *, resume: bool) -> int:
     with importing():
-        from app import simulation
-        from app.checkpoint import CheckpointError
-        from app.pieces import ResultsError
+        from piezomat import simulation
+        from piezomat.results.checkpoint import CheckpointError
+        from piezomat.results.vtk import ResultsError
 
     try:
         simulation.run(scene, comm, out, resume=resume)
@@ -147,7 +147,7 @@ def _simulate(scene: Scene, comm: MPI.Comm, out: Path, *, resume: bool) -> int:
 
 def _plan(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    from app import simulation
+    from piezomat import simulation
 
     return _done(comm, simulation.plan(scene, comm))
 
@@ -155,7 +155,7 @@ def _plan(options: argparse.Namespace, comm: MPI.Comm) -> int:
 def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
     on_root(comm, lambda: _check_mesh_name(options.out))
-    from meshes.body_mesh import create
+    from piezomat.meshes.body_mesh import create
 
     create(comm, scene.geometry, scene.sizes, save=options.out)
     return _done(comm, f"mesh in {options.out}")
@@ -163,8 +163,8 @@ def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
     on_root(comm, lambda: _check_results(options.directory, "history.csv"))
-    from app import pictures
-    from app.pieces import ResultsError
+    from piezomat.pictures import picture as pictures
+    from piezomat.results.vtk import ResultsError
 
     try:
         return _done(comm, *on_root(comm, lambda: pictures.view(options.directory)))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from app import fenicsx
-from app.contact import Contact
-from app.contact_pairs import FADE
-from app.linear import direct_limit_3d, is_direct
-from app.model import Model
-from app.scene_errors import named
+from piezomat.contact.interfaces import Contact
+from piezomat.contact.setup import FADE
+from piezomat.discretization.model import Model
+from piezomat.forms import fenicsx
+from piezomat.scene.errors import named
+from piezomat.solver.linear import direct_limit_3d, is_direct
 
 AXES = "xyz"
 

@@ -16,25 +16,25 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import restart
-from app.contact_pairs import contact_of
-from app.files import on_root, replacing
-from app.floating import left_alone, touching_bodies
-from app.history import Balance, columns, pair_columns, pair_table, row
-from app.linear import Direct, Multigrid
-from app.model import Model
-from app.outcome import SolveError
-from app.output import FieldOutput, contact_points
-from app.problem import Problem
-from app.progress import Progress
-from app.results import Results
-from app.scene import Scene, SceneError, mesh_error
-from app.scene_errors import named
-from app.shares import described, shares
-from app.solver import Newton
-from app.stepping import Step, Stepper, StepReport, steps
-from app.timing import Timer
-from meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
+from piezomat.assembly.problem import Problem
+from piezomat.contact.setup import contact_of
+from piezomat.contact.untouched_bodies import left_alone, touching_bodies
+from piezomat.discretization.model import Model
+from piezomat.meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
+from piezomat.progress import Progress
+from piezomat.results import restart
+from piezomat.results.atomic import on_root, replacing
+from piezomat.results.fields import FieldOutput, contact_points
+from piezomat.results.files import Results
+from piezomat.results.quantities import Balance, columns, pair_columns, pair_table, row
+from piezomat.results.ranks import described, shares
+from piezomat.scene.errors import named
+from piezomat.scene.scene import Scene, SceneError, mesh_error
+from piezomat.solver.linear import Direct, Multigrid
+from piezomat.solver.load_steps import Step, Stepper, StepReport, steps
+from piezomat.solver.newton import Newton
+from piezomat.solver.outcome import SolveError
+from piezomat.usage import Timer
 
 log = logging.getLogger("piezomat")
 
@@ -274,7 +274,7 @@ class _Session:
 
 def plan(scene: Scene, comm: MPI.Comm) -> str:
     """What would be modelled and solved, and why; nothing is solved. Collective."""
-    from app.plan import plan_text
+    from piezomat.plan import plan_text
 
     with tempfile.TemporaryDirectory() as scratch:
         bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
@@ -358,7 +358,7 @@ def _check_overlap(problem: Problem) -> None:
 
 
 def _picture(out: Path) -> None:
-    from app import pictures
+    from piezomat.pictures import picture as pictures
 
     try:
         pictures.view(out)

@@ -6,8 +6,8 @@ from typing import Any
 
 import ufl
 
-from app import fenicsx
-from forms.piezo import Kinematics, law_matrix, strain_and_field, volume_measure
+from piezomat.forms import fenicsx
+from piezomat.forms.piezo import Kinematics, law_matrix, strain_and_field, volume_measure
 
 
 def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:

@@ -1,7 +1,7 @@
 """Bulk forms of coupled piezoelectricity: one enthalpy density, its residual and tangent, and the loads.
 
 The unknown w has the components u_1 .. u_dim and, with a potential, psi = phi / potential_scale. With
-s = (strain in Voigt order, electric field) and the matrix M of `forms.materials`,
+s = (strain in Voigt order, electric field) and the matrix M of `piezomat.forms.materials`,
 
     Pi(w) = int 1/2 s.M.s dV - int t.u dA + int q phi dA,      E = -grad(phi).
 
@@ -24,7 +24,7 @@ import numpy as np
 import ufl
 from numpy.typing import NDArray
 
-from app import fenicsx
+from piezomat.forms import fenicsx
 
 Kinematics = Literal["small", "finite"]
 

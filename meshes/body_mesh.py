@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from app import fenicsx
-from meshes import gmsh_model, read_out
-from meshes.base import Shape
-from meshes.gmsh_model import GEOMETRY, MeshError
-from meshes.mesh_file import MeshFile, blaming, load
-from meshes.read_out import Arrays, not_facets
-from meshes.sizes import MeshSizes
+from piezomat.forms import fenicsx
+from piezomat.meshes.builders.sizes import MeshSizes
+from piezomat.meshes.gmsh_io import extract as read_out
+from piezomat.meshes.gmsh_io import model as gmsh_model
+from piezomat.meshes.gmsh_io.extract import Arrays, not_facets
+from piezomat.meshes.gmsh_io.mesh_file import MeshFile, blaming, load
+from piezomat.meshes.gmsh_io.model import GEOMETRY, MeshError
+from piezomat.meshes.shapes.base import Shape
 
 Partition = Callable[[NDArray[np.float64], NDArray[np.int32], int], NDArray[np.int32]]
 

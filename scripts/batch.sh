@@ -60,4 +60,4 @@ elif [[ -d $results/checkpoint ]]; then
 fi
 printf 'piezomat %s on %s ranks\n' "${command[*]}" "$ranks"
 # mpi4py ends all ranks when one of them ends in error.
-exec "${launch[@]}" "$python" -m mpi4py -m app "${command[@]}"
+exec "${launch[@]}" "$python" -m mpi4py -m piezomat "${command[@]}"

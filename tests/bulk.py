@@ -15,7 +15,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from app import fenicsx
+from piezomat.forms import fenicsx
 
 Array = NDArray[np.float64]
 DIMENSION = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}

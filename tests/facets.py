@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.contact.facets import FacetKind, facet_kind
-from forms.contact.gap import Projection, Variations, project, variations
+from piezomat.forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.gap import Projection, Variations, project, variations
 
 Array = NDArray[np.float64]
 KINDS = ("line2", "line3", "tri3", "tri6", "quad4", "quad9")
@@ -83,7 +83,7 @@ class PairBatch:
         return np.einsum("mk,mk->m", self.slave_shape, q[:, : self.nodes, self.dim]) - there
 
     def variations(self, q: Array, *, second: bool = True) -> Variations:
-        """What `forms.contact.gap.variations` says at these unknowns."""
+        """What `piezomat.forms.contact.gap.variations` says at these unknowns."""
         return variations(
             self.kind, self.project(q), self.slave_shape, self.components, self.potentials(q), second=second
         )

@@ -10,8 +10,8 @@ import gmsh
 import numpy as np
 from numpy.typing import NDArray
 
-from app.scene import Scene
-from app.simulation import Run
+from piezomat.scene.scene import Scene
+from piezomat.simulation import Run
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.contact.facets import FacetKind, facet_kind
-from forms.contact.laws import History, InterfaceLaw, Response
+from piezomat.forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.contact.facets import FacetKind, FacetMaps
+from piezomat.forms.contact.facets import FacetKind, FacetMaps
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.contact.facets import FacetKind
-from forms.contact.gap import Projection, variations
-from forms.contact.laws import Response
-from forms.contact.smoothing import to_corners
+from piezomat.forms.contact.facets import FacetKind
+from piezomat.forms.contact.gap import Projection, variations
+from piezomat.forms.contact.laws.interface import Response
+from piezomat.forms.contact.smoothing import to_corners
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from forms.contact.facets import FacetKind, facet_kind, triangle_rule
-from forms.contact.gap import project
-from forms.contact.integrals import SlavePoints
+from piezomat.forms.contact.facets import FacetKind, facet_kind, triangle_rule
+from piezomat.forms.contact.gap import project
+from piezomat.forms.contact.integrals import SlavePoints
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

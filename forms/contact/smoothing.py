@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.contact.augmentation import corner_kind
-from forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.augmentation import corner_kind
+from piezomat.forms.contact.facets import FacetKind, facet_kind
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,374 @@
+"""The nonlinear problem of one load level: residual and tangent of bulk, loads, contact and stabilization."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import dolfinx
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from piezomat.assembly.tangent_matrix import TangentMatrix
+from piezomat.contact.interfaces import Contact
+from piezomat.contact.terms import ContactTerms
+from piezomat.discretization.model import Model
+from piezomat.forms import fenicsx
+from piezomat.forms.energy import grounding_form, stored_energies
+from piezomat.forms.piezo import internal_form, load_tangent, tangent_form
+from piezomat.memory import give_back_memory
+from piezomat.meshes import reductions
+from piezomat.usage import Timer
+
+Array = NDArray[np.float64]
+
+# Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
+GROUNDING = 1e-8
+ROUNDING = 1e-12  # of the potential of a strain of one
+
+
+class CondensedBulk(Protocol):
+    """A bulk that is told by some of its unknowns, the others being in equilibrium."""
+
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Residual of the bulk at x."""
+
+
+class Problem:
+    """Residual and tangent of a model at given load factors, for Newton's method. Every method is collective.
+
+    The state x solves R(x) = R_bulk(x) + R_loads + R_contact(x) + G (x - x_n) = 0 where it is not fixed; G grounds
+    the parts that nothing but contact holds, and x_n is the last converged state.
+    """
+
+    def __init__(self, model: Model, contact: Contact | None, timer: Timer) -> None:
+        self.model = model
+        self.contact = contact
+        self.timer = timer
+        self.comm: MPI.Comm = model.comm
+        self._evaluated: PETSc.Vec = fenicsx.petsc_vector(model.state)  # where forms are evaluated
+        self.state: PETSc.Vec = self._evaluated.duplicate()
+        self.state.set(0.0)
+        self.finite = model.scene.model.kinematics == "finite"
+        self._test = ufl.TestFunction(model.space)
+        self._coordinates = model.coordinate_vector()
+        with timer("assembly"):
+            self._compile()
+            self._springs = self._ground()
+            self.grounding = 1.0  # factor by which the springs are stronger, see `Springs`
+            self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
+            self._assemble_bulk()
+        self._matrix: TangentMatrix | None = None
+        self.condensed: CondensedBulk | None = None  # what tells the bulk's residual, where it is not the matrix
+        self.renewals = 0  # how often bulk and grounding have changed
+        self.full = self.state.duplicate()  # residual with the reactions of what is fixed
+        self.loads = self.state.duplicate()  # what the loads add to the residual: minus the nodal forces they apply
+        self.start = self.state.duplicate()  # the last converged state
+        self._work = self.state.duplicate()  # new vectors in each iteration would stay until garbage is collected
+        self._terms: ContactTerms | None = None
+        self.snap_work: Array | None = None  # of the last part of a step, if it snapped
+        self.linear = contact is None and not self.finite
+        length = float(model.part_size.max())
+        stiffest = contact.stiffest if contact is not None else 0.0
+        # Forces of a strain of one, and of a penetration as large as the coordinates that the gaps are made from.
+        self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
+
+    @property
+    def floats(self) -> bool:
+        """Whether springs hold a part, because its boundaries do not."""
+        return self._springs is not None
+
+    @property
+    def loose(self) -> bool:
+        """Whether nothing but contact and weak springs holds some of the bodies."""
+        return self.model.loose and self.grounding == 1.0
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric: all but follower pressure is derived from one enthalpy."""
+        return self._load_tangent is None
+
+    def collect_garbage(self) -> None:
+        """Destroy the PETSc objects that Python has let go: petsc4py puts it off until all ranks do it together."""
+        PETSc.garbage_cleanup(self.comm)
+        PETSc.garbage_cleanup(self.state.comm.tompi4py())
+        PETSc.garbage_cleanup(MPI.COMM_SELF)
+        give_back_memory()
+
+    def close(self) -> None:
+        """Destroy the matrices; state and contact can still be looked at."""
+        tangent = self._matrix.matrix if self._matrix is not None else None
+        for matrix in (self._bulk, tangent):
+            if matrix is not None:
+                matrix.destroy()
+        self.collect_garbage()
+
+    def set_loads(self, factors: dict[str, float]) -> None:
+        """Go to a load level: the loads and the values of the fixed unknowns (taken up by Newton's start value)."""
+        self.model.set_loads(factors)
+        if self.contact is not None:
+            self.contact.move_planes(factors)
+        self.targets = self.model.fixed_values(factors)
+        self._assemble_loads()
+
+    def begin_step(self, margin: float) -> None:
+        """Start a step from the converged state: pair the surfaces anew and remember where the step starts."""
+        self.collect_garbage()
+        self.state.copy(self.start)
+        self.pair(margin)
+
+    def pair(self, margin: float) -> None:
+        """Pair the contact surfaces at the present state, looking `margin` (um) around every point."""
+        self.condensed = None  # where a solve has failed on the way, its inside is not that of this state
+        if self.contact is None:
+            return
+        with self.timer("contact"):
+            self.contact.pair(self.state, margin)
+        if self._matrix is not None:
+            self._matrix.forget_pattern()
+
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec, *, search: bool = True) -> None:
+        """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there. search: see `Contact`."""
+        with self.timer("assembly"):
+            self._bulk_residual(x)
+        if self.contact is not None:
+            with self.timer("contact"):
+                terms = self.contact.evaluate(x, tangent=False, search=search)
+                self.contact.add_residual(terms, self.full)
+                if self.contact.broken:
+                    self.full.set(np.nan)
+        self.full.copy(result)
+        result.array[self.model.fixed] = 0.0
+
+    def linearize(self, x: PETSc.Vec) -> None:
+        """Take up the tangent at x: `multiply`, `tangent` and `contact_terms` are then those of this state."""
+        self._update_bulk(x)
+        if self.contact is not None:
+            with self.timer("contact"):
+                self._terms = self.contact.evaluate(x, tangent=True)
+
+    def tangent(self) -> tuple[PETSc.Mat, bool]:
+        """The tangent as a matrix, the fixed unknowns eliminated, and whether its pattern differs from the last."""
+        nodes, matrices = self.contact_terms()
+        reserve = self.contact.reserve() if self.contact is not None else nodes
+        with self.timer("assembly"):
+            if self._matrix is None:
+                self._matrix = TangentMatrix(self.comm, self._bulk, self.model.block, self.model.fixed_global)
+            matrix, fresh = self._matrix.assemble(nodes, matrices, reserve)
+            self._matrix.eliminate()
+        return matrix, fresh
+
+    def contact_terms(self) -> tuple[NDArray[np.int64], Array]:
+        """Contact's part of the tangent: global nodes (k, n) of each pair of facets here, and its matrix."""
+        if self.contact is None:
+            size = 2 * self.model.block
+            return np.zeros((0, 2), np.int64), np.zeros((0, size, size))
+        return self.contact.global_nodes(self._terms), self._terms.matrices
+
+    def without_contact(self) -> PETSc.Mat:
+        """A copy of the tangent's bulk and grounding, the fixed unknowns eliminated."""
+        bulk = self._bulk.copy()
+        bulk.zeroRowsColumns(self.model.fixed_global, diag=1.0)
+        return bulk
+
+    def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = tangent of the last `linearize` times a change of the state, nothing eliminated from it."""
+        self._bulk.mult(change, result)
+        if self.contact is not None:
+            self.contact.add_product(self._terms, change, result)
+
+    def contact_after(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = contact's share of the residual after a change of the state, as the last `linearize` tells it."""
+        result.set(0.0)
+        self.contact.add_residual(self._terms, result)
+        self.contact.add_product(self._terms, change, result)
+
+    def fixed_change(self) -> PETSc.Vec:
+        """How far the fixed unknowns are from where this load level wants them, zero elsewhere."""
+        change = self.state.duplicate()
+        change.set(0.0)
+        change.array[self.model.fixed] = self.targets - self.state.array_r[self.model.fixed]
+        return change
+
+    def prescribed_motion(self) -> float:
+        """How far this load level moves a node whose displacement is fixed, um: the largest component."""
+        fixed = self.model.fixed
+        change = np.abs(self.targets - self.state.array_r[fixed])[fixed % self.model.block < self.model.dim]
+        return self.maximum(float(change.max(initial=0.0)))
+
+    def refresh(self) -> None:
+        """Bring the model's function up to date with the state, ghosts included."""
+        self._set_state(self.state)
+
+    def norms(self, vector: PETSc.Vec) -> Array:
+        """Euclidean norms of the displacement and the potential part of a vector, (1,) or (2,)."""
+        values = vector.array_r.reshape(-1, self.model.block) ** 2
+        parts = [values[:, : self.model.dim].sum()]
+        if self.model.electric:
+            parts.append(values[:, -1].sum())
+        return np.sqrt(reductions.total(self.comm, np.array(parts)))
+
+    @property
+    def loaded(self) -> bool:
+        """Whether the scene has loads, beside prescribed displacements and potentials."""
+        return self._load_form is not None
+
+    def outer_forces(self) -> Array:
+        """Norms (1,) or (2,) of what acts from outside at the last `residual`: reactions, loads, rigid planes."""
+        self.loads.copy(self._work)
+        self._work.axpy(-1.0, self.full)
+        if self.contact is not None:
+            self.contact.add_forces_of_planes(self._work)
+        return self.norms(self._work)
+
+    def displacements(self, vector: PETSc.Vec) -> Array:
+        """This rank's displacement part (nodes, d) of a vector."""
+        return vector.array_r.reshape(-1, self.model.block)[:, : self.model.dim]
+
+    def maximum(self, value: float) -> float:
+        """The largest of the ranks' values."""
+        return self.comm.allreduce(value, op=MPI.MAX)
+
+    def potential_range(self) -> float:
+        """Range of the potential over the model, V, or what round-off makes of one."""
+        scale = self.model.potential_scale
+        if scale is None:
+            return 1.0
+        values = scale * self.state.array_r.reshape(-1, self.model.block)[:, -1]
+        ends = np.array([values.max(initial=-np.inf), -values.min(initial=np.inf)])
+        return max(float(reductions.largest(self.comm, ends).sum()), ROUNDING * scale)
+
+    def motion(self, since: PETSc.Vec | None = None) -> float:
+        """How far a node has moved since an earlier state, or since the step began, um: the largest component."""
+        change = self.displacements(self.state) - self.displacements(self.start if since is None else since)
+        return self.maximum(float(np.abs(change).max(initial=0.0)))
+
+    def energies(self, x: PETSc.Vec) -> dict[str, float]:
+        """Stored energies of the bulk at x, pJ: elastic, electric."""
+        self._set_state(x)
+        elastic, electric = self._energy_forms
+        return {
+            "elastic": fenicsx.integral(elastic),
+            "electric": fenicsx.integral(electric) if electric is not None else 0.0,
+        }
+
+    def grounding_work(self) -> float:
+        """Work of the grounding springs in the step that ends at the present state, pJ."""
+        if self._springs is None:
+            return 0.0
+        change = self.state - self.start
+        work = self.grounding * self._springs.array_r * change.array_r**2
+        return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
+
+    def _compile(self) -> None:
+        model = self.model
+        kinematics = model.scene.model.kinematics
+        self._tangent_form = dolfinx.fem.form(tangent_form(model.state, model.law, kinematics))
+        self._residual_form = None
+        if self.finite:
+            self._residual_form = dolfinx.fem.form(internal_form(model.state, model.law, kinematics))
+        self._energy_forms = [
+            None if e is None else dolfinx.fem.form(e) for e in stored_energies(model.state, model.law, kinematics)
+        ]
+        loads = model.load_form()
+        self._load_form = None if loads.empty() else dolfinx.fem.form(loads)
+        derivative = None if loads.empty() else load_tangent(loads, model.state)
+        self._load_tangent = None if derivative is None else dolfinx.fem.form(derivative)
+
+    def _ground(self) -> PETSc.Vec | None:
+        """The springs of parts that float, one at every unknown; None where no part does."""
+        model = self.model
+        if not model.floating.any():
+            return None
+        strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
+        values = GROUNDING * model.part_modulus / model.part_size[:, None] ** 2 * model.floating
+        cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
+        strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
+        strength.x.scatter_forward()
+        springs = self.state.duplicate()
+        self._assemble_into(springs, dolfinx.fem.form(grounding_form(self._test, strength)))
+        return springs
+
+    def set_grounding(self, factor: float) -> None:
+        """Make the springs of floating parts `factor` times as strong as they are at first."""
+        if self.floats and factor != self.grounding:
+            self._add_springs(factor - self.grounding)
+            self.grounding = factor
+            self._renew()
+
+    def _add_springs(self, factor: float) -> None:
+        diagonal = self._bulk.getDiagonal()
+        diagonal.axpy(factor, self._springs)
+        self._bulk.setDiagonal(diagonal)
+
+    def _renew(self) -> None:
+        self.renewals += 1
+        if self._matrix is not None:
+            self._matrix.set_bulk(self._bulk)
+
+    def carried_by_grounding(self) -> float:
+        """Forces of the springs on floating parts over the forces of the loads; 0 without springs or loads."""
+        loads = self.comm.allreduce(float(np.abs(self.displacements(self.loads)).sum()), op=MPI.SUM)
+        if not self.floats or loads == 0.0:
+            return 0.0
+        force = self._springs * (self.state - self.start)
+        return self.comm.allreduce(float(np.abs(self.displacements(force)).sum()), op=MPI.SUM) / loads
+
+    def _assemble_bulk(self) -> None:
+        self._bulk.zeroEntries()
+        dolfinx.fem.petsc.assemble_matrix(self._bulk, self._tangent_form)
+        if self._load_tangent is not None:
+            dolfinx.fem.petsc.assemble_matrix(self._bulk, self._load_tangent)
+        self._bulk.assemble()
+        if self._springs is not None:
+            self._add_springs(self.grounding)
+
+    def _update_bulk(self, x: PETSc.Vec) -> None:
+        if not self.finite:
+            return
+        with self.timer("assembly"):
+            self._set_state(x)
+            self._assemble_bulk()
+            self._renew()
+
+    def bulk_residual(self, x: PETSc.Vec) -> PETSc.Vec:
+        """Residual at x of all but contact, with the reactions of what is fixed."""
+        self._bulk_residual(x)
+        return self.full.copy()
+
+    def _bulk_residual(self, x: PETSc.Vec) -> None:
+        if self.condensed is not None:
+            self.condensed.residual(x, self.full)
+            return
+        if self.finite:
+            self._set_state(x)
+            self._assemble_into(self.full, self._residual_form)
+            if self._load_tangent is not None:
+                self._assemble_loads()
+        else:
+            self._bulk.mult(x, self.full)  # its springs included
+        self.full.axpy(1.0, self.loads)
+        if self._springs is not None:
+            self.start.copy(self._work)
+            if self.finite:
+                self._work.axpy(-1.0, x)
+            self._work.pointwiseMult(self._springs, self._work)
+            self.full.axpy(-self.grounding, self._work)
+
+    def _assemble_loads(self) -> None:
+        self.loads.set(0.0)
+        if self._load_form is not None:
+            self._assemble_into(self.loads, self._load_form)
+
+    def _assemble_into(self, vector: PETSc.Vec, form: Any) -> None:
+        with vector.localForm() as local:
+            local.set(0.0)
+        dolfinx.fem.petsc.assemble_vector(vector, form)
+        vector.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+
+    def _set_state(self, x: PETSc.Vec) -> None:
+        x.copy(self._evaluated)
+        self._evaluated.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)

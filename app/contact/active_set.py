@@ -1,0 +1,74 @@
+"""Foresight: what contact answers to a step before it is made, so that one step settles which points it closes.
+
+Contact laws bend sharply, gaps do not: a Newton step that lets the law go on along its tangent closes points that it
+should have opened, and the next one puts that right for a few of them. Here the gaps and jumps alone go along their
+tangent. The law answers at those that a step foresees, and the step is found anew from that answer until both agree:
+Newton's method within a step, on the nodes that may touch (a semismooth one; with a penalty that of the primal-dual
+active set, Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2003) 865-888).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from piezomat.contact.nodal_state import NodalState
+from piezomat.forms.contact.augmentation import respond
+from piezomat.forms.contact.laws.interface import Response
+from piezomat.meshes import reductions
+
+if TYPE_CHECKING:
+    from piezomat.contact.interfaces import Contact
+    from piezomat.contact.rigid_plane import PlanePass
+    from piezomat.contact.surface_pair import ContactPass
+
+Array = NDArray[np.float64]
+
+
+def answer(p: ContactPass | PlanePass, at: NodalState, shift: tuple[Array, Array]) -> Response:
+    """The law's response at the gaps and jumps of a pass's points, or at those foreseen; both get their `Shift`."""
+    rows, gap, jump = p.rows[p.met], p.projection.gap, p.jump
+    if p.foreseen is not None:
+        gap, jump = gap + p.foreseen[0], None if jump is None else jump + p.foreseen[1]
+    return respond(p.law[rows], gap, jump, p.history[rows], shift, pulls=at.pulls, exact=at.exact)
+
+
+def first_answer(p: ContactPass | PlanePass) -> tuple[Array, Array]:
+    """Slope and charge of a pass's points from which a linear law leads to its last response, now or as foreseen."""
+    return (p.response.slope, p.response.charge) if p.foreseen is None else p.response.after(-p.foreseen)
+
+
+def foresee(contact: Contact, change: PETSc.Vec) -> Array:
+    """Let contact answer from now on as after this change of the state of its last evaluation. Collective.
+
+    Norms (2,) of forces and charges that the last answer did not lead to expect; not numbers where facets have
+    collapsed, infinite where a change is wild.
+    """
+    nodal, sums = contact.gather(change), np.zeros(2)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            for p in contact.every:
+                sums += _foresee(p, contact.at, nodal)
+    except np.linalg.LinAlgError:
+        sums[:] = np.nan
+    return np.sqrt(reductions.total(contact.comm, sums))
+
+
+def end(contact: Contact) -> None:
+    """Let contact answer at the states that are evaluated again."""
+    for p in contact.every:
+        p.foreseen = None
+
+
+def _foresee(p: ContactPass | PlanePass, at: NodalState, change: Array) -> Array:
+    last, before = p.response, p.foreseen
+    p.foreseen = p.first_changes(at, change)
+    slope, charge = last.after(p.foreseen if before is None else p.foreseen - before)
+    rows = p.rows[p.met]
+    r = answer(p, at, p.shift.at(p.slave.kind, p.points.facet[rows], p.points.xi[rows]))
+    weight = p.share * p.points.weight[rows]
+    scale = 1.0 if at.scale is None else at.scale
+    return np.array([((weight * (r.slope - slope)) ** 2).sum(), ((scale * weight * (r.charge - charge)) ** 2).sum()])

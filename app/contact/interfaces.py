@@ -1,0 +1,399 @@
+"""The contact pairs of a run: paired across ranks, evaluated at a state, remembered from step to step."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from piezomat.contact.nodal_state import NodalState
+from piezomat.contact.rigid_plane import PlanePass
+from piezomat.contact.search import KEEP, KEPT, Search, find_partners
+from piezomat.contact.surface_pair import LARGEST_SHAPE, ContactPass, Pairs
+from piezomat.contact.terms import ContactTerms, no_terms, terms_of_pass, terms_of_plane
+from piezomat.forms.contact.augmentation import corner_kind
+from piezomat.forms.contact.laws.interface import Drag
+from piezomat.meshes import reductions
+from piezomat.meshes.contact.global_search import Meetings, share_facets
+from piezomat.meshes.contact.local_search import near_points
+from piezomat.meshes.contact.overlap import deepest_overlap
+from piezomat.meshes.parallel import Exchange
+
+Array = NDArray[np.float64]
+
+log = logging.getLogger("piezomat")
+
+# Points that meet nothing are looked at again once a surface has moved by this share of a facet since the last time.
+DRIFT = 0.05
+NEAR = 0.5  # facets: points nearer to touch than this may soon do so
+# Relative residual below which the tangent is exact. Further from equilibrium tractions and potential jumps are wrong
+# by much more than they are worth: that tractions turn with their facets, and that the electric contact pulls the
+# harder, the nearer surfaces come, would make the tangent indefinite for nothing.
+EXACT = 1e-2
+# The same where bodies are loose: on some of them nothing but that pull acts, whose forces are a small part of all.
+EXACT_LOOSE = 1e-3
+
+
+class Contact:
+    """All contact passes of a run on this rank. Every method is collective."""
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        space: Any,
+        coordinates: PETSc.Vec,
+        passes: Sequence[ContactPass],
+        planes: Sequence[PlanePass],
+        pairs: Pairs,
+        potential_scale: float | None,
+        along: PETSc.Vec | None = None,
+    ) -> None:
+        """`along`: first components say how far nodes are along their part, over what is far; with self-contact."""
+        self.comm = comm
+        self.pairs = pairs
+        self.passes = list(passes)
+        self.planes = list(planes)
+        self.every: list[ContactPass | PlanePass] = [*passes, *planes]
+        self.space = space
+        self.dim = space.mesh.geometry.dim
+        self.components = space.dofmap.index_map_bs
+        self.potential_scale = potential_scale
+        self.cuts = any(p.segments for p in self.passes)
+        self.adhesive = any(p.law.adhesion is not None for p in self.passes)
+        self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
+        self.reach = comm.allreduce(max(p.law.reach for p in self.every), op=MPI.MAX)
+        sizes = [np.log(p.size) for p in self.every]
+        total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
+        self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
+        self._coordinates, self._along = coordinates, along
+        # What this rank's slave and master facets are made of; what it sees besides changes with every pairing.
+        self._surfaces = self._seen([facets.nodes for p in self.passes for facets in (p.slave, p.master)])
+        self.margin = 0.0  # of the last pairing, um
+        self.ahead = 0.0  # how far from each other (um) surfaces are that a solver wants to know of in `reserve`
+        self.outgrown = False  # whether surfaces have moved too far for the pairing, at the last evaluation
+        self.broken = False  # whether the last evaluation has failed
+        self.pulls = True  # whether the electric contact pulls on the surfaces; see `InterfaceLaw.respond`
+        self.dragged = False  # whether bonds resist their opening
+        self.last_penetration = 0.0  # at the end of the last converged step, um
+        self._keep = KEEP[0][1]
+        self._exact = True
+        self._of_planes: list[ContactTerms] = [no_terms(p, self.components, tangent=False) for p in self.planes]
+
+    def pair(self, state: PETSc.Vec, margin: float) -> None:
+        """Find anew, at this state, which facets each rank must see and which points are near.
+
+        `margin` (um): how near a point must be to be looked at; the pairing holds as long as no surface has moved by
+        more than half of it.
+        """
+        self.margin = margin
+        nodes, exchange, reference = self._surfaces
+        position = reference + exchange.take(state).reshape(-1, self.components)[:, : self.dim]
+        needed = []
+        for p in self.passes:
+            slave, master = (position[np.searchsorted(nodes, facets.nodes)] for facets in (p.slave, p.master))
+            p.visible = share_facets(self.comm, slave, p.slave.clump, p.master, master, margin, p.rule)
+            needed += [p.slave.nodes, p.visible.nodes]
+        # All planes meet the same surface.
+        needed += [p.slave.nodes for p in self.planes[:1]]
+        self.nodes, self._exchange, self._reference = self._seen(needed)
+        along = self.gather(self._along)[:, 0] if self._along is not None else None
+        values = self.gather(state)
+        self._paired_at = self._searched_at = values[:, : self.dim].copy()
+        self._searched, self._partners_at = False, None
+        position = self._reference + values[:, : self.dim]
+        for p in self.passes:
+            p.slave_nodes = np.searchsorted(self.nodes, p.slave.nodes)
+            p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
+            p.own = p.own_surface(self._reference, along) if along is not None else None
+            if p.segments:
+                # Facets that come nearer than this in a step are cut when it has ended.
+                p.cut(position, self.reach + 0.5 * self._facet + 4.0 * self.last_penetration)
+            self._meet_clumps(p, position, margin)
+            p.facet = np.full(len(p.rows), -1)
+            p.xi = np.zeros((len(p.rows), p.slave.kind.dim))
+            p.found_beyond = np.zeros(len(p.rows))
+            p.clear, p.approach = np.zeros((2, len(p.rows)))
+        for p in self.planes:
+            p.slave_nodes = np.searchsorted(self.nodes, p.slave.nodes)
+            p.look(position, margin)
+        self.outgrown = False
+        self._keep, self._exact = KEEP[0][1], True
+
+    def _seen(self, numbers: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], Exchange, Array]:
+        """Nodes with these global numbers: each once, the exchange of their unknowns, where they are at first."""
+        nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, numbers)]))
+        wanted = PETSc.IS().createBlock(self.components, nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+        exchange = Exchange(self._coordinates, wanted)
+        return nodes, exchange, exchange.take(self._coordinates).reshape(-1, self.components)[:, : self.dim]
+
+    def _meet_clumps(self, p: ContactPass, position: Array, margin: float) -> None:
+        """Find the points near facets that they may meet, and which clumps each of them is near."""
+        points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
+        facets = p.master_at(position)
+        boxed = Meetings.near(points, p.slave.clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
+        near, p.candidates = [], []
+        for rows, clump, own in zip(boxed.points, boxed.facets, boxed.own, strict=True):
+            rows = rows[p.meets[rows]]
+            slaves = p.points.facet[rows]
+            p.candidates.append(p.near_own(position, np.unique(slaves), clump, margin) if own else None)
+            close = p.candidates[-1].count(slaves) > 0 if own else near_points(points[rows], facets[clump], margin)
+            near.append(rows[close])
+        p.rows = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
+        p.meetings = Meetings(boxed.clump, boxed.own, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near])
+
+    def settle(self, iteration: int, residual: float, *, loose: bool) -> None:
+        """Prepare the tangent of a Newton iteration that starts at this relative residual.
+
+        loose: whether nothing but contact and weak springs holds some of the bodies. Points keep their facets the
+        longer, the more iterations a solve has taken.
+        """
+        self._keep = max(share for start, share in KEEP if iteration >= start)
+        self._exact = residual < (EXACT_LOOSE if loose else EXACT)
+
+    def release(self) -> bool:
+        """Let points keep their facets no longer than is right at the end of a solve; whether they had been let."""
+        longer, self._keep = self._keep > KEPT, min(self._keep, KEPT)
+        self._partners_at = None
+        return longer
+
+    def evaluate(self, state: PETSc.Vec, *, tangent: bool, search: bool = True) -> ContactTerms:
+        """Contact's share of residual and tangent at a state; sets `outgrown` when the pairing holds no longer.
+
+        Without `search` points that met nothing at the last evaluation meet nothing.
+        """
+        values = self.gather(state)
+        position = self._reference + values[:, : self.dim]
+        displacement = values[:, : self.dim]
+        motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
+        moved, drift = reductions.largest(self.comm, np.array(motions))
+        self.outgrown = moved > 0.5 * self.margin
+        everywhere = search and (not self._searched or drift > DRIFT * self._facet)
+        if everywhere:
+            self._come_nearer(displacement - self._searched_at)
+            self._searched, self._searched_at, drift = True, displacement.copy(), 0.0
+        # What is further off than `reach` can do nothing before all is searched anew; solvers ask for what may soon
+        # touch.
+        nearer = 2.0 * np.sqrt(self.dim) * LARGEST_SHAPE[2]  # that two points can come if no component moves by more
+        reach = self.reach + nearer * DRIFT * self._facet
+        far = max(reach + NEAR * self._facet, self.ahead)
+        look = Search(self._keep, everywhere, reach, far, self.reach, 2.0 * self.last_penetration, nearer * drift)
+        # A tangent is mostly asked for where the residual was evaluated last: partners and projections are at hand.
+        same = not everywhere and self._partners_at is not None and np.array_equal(position, self._partners_at)
+        self._partners_at = position
+        potentials = values[:, self.dim] if self.potential_scale is not None else None
+        at = self.at = NodalState(position, potentials, self.components, self.potential_scale, self.pulls, self._exact)
+        try:
+            if not same:
+                for p in self.passes:
+                    find_partners(p, position, look)
+            of_passes = [terms_of_pass(p, at, tangent=tangent, dragged=self.dragged) for p in self.passes]
+            of_planes = [terms_of_plane(p, at, tangent=tangent) for p in self.planes]
+            failed = False
+        except (np.linalg.LinAlgError, ValueError) as error:
+            log.debug("contact cannot be evaluated at this state: %s", error)
+            failed, self._partners_at = True, None
+        # One rank's facets may have collapsed in a wild Newton step: all ranks give that state up.
+        self.broken = self.comm.allreduce(failed, op=MPI.LOR)
+        if self.broken:
+            self._searched = False
+            of_passes, of_planes = (
+                [no_terms(p, self.components, tangent=tangent) for p in passes] for passes in (self.passes, self.planes)
+            )
+        self._of_planes = of_planes
+        terms = [*of_passes, *of_planes]
+        size = 2 * self.every[0].slave.nodes.shape[1]
+        nodes = np.concatenate([t.nodes for t in terms]).reshape(-1, size)
+        vectors = np.concatenate([t.vectors for t in terms])
+        return ContactTerms(nodes, vectors, np.concatenate([t.matrices for t in terms]) if tangent else None)
+
+    def _come_nearer(self, change: Array) -> None:
+        """Note by how much things may have come nearer to each other, nodes having moved by `change` (n, d)."""
+        bodies = max(len(self.pairs.bodies), 2)
+        motions = reductions.largest(self.comm, np.array([p.motions(change, bodies) for p in self.passes]))
+        for p, moved in zip(self.passes, motions, strict=True):
+            p.come_nearer(moved)
+
+    def stale(self) -> bool:
+        """Whether segments no longer begin and end where master facets do, at the last evaluation."""
+        if not self.cuts:
+            return False
+        before = self._reference + self._paired_at
+        slid = any(p.segments and p.has_slid(before, self.reach) for p in self.passes)
+        return self.comm.allreduce(slid, op=MPI.LOR)
+
+    def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
+        """Add the terms' vectors to a distributed residual."""
+        self._add(terms.nodes, terms.vectors, residual)
+
+    def add_product(self, terms: ContactTerms, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Add the terms' matrices times a change of state to a distributed vector."""
+        local = self.gather(change)[terms.nodes]
+        product = np.einsum("mij,mj->mi", terms.matrices, local.reshape(terms.matrices.shape[:2]))
+        self._add(terms.nodes, product.reshape(local.shape), result)
+
+    def global_nodes(self, terms: ContactTerms) -> NDArray[np.int64]:
+        """Global node numbers of each facet pair of the terms."""
+        return self.nodes[terms.nodes]
+
+    def reserve(self, ahead: float = 0.0) -> NDArray[np.int64]:
+        """Global nodes of the facet pairs in contact, or nearer to it than `ahead` (um), at the last evaluation.
+
+        Further than `self.ahead` or half a facet nothing is seen.
+        """
+        sets = []
+        for p in self.passes:
+            near = p.projection.gap < self.reach + ahead + NEAR * p.size[p.rows[p.met]]
+            facets, partners = p.points.facet[p.rows[p.met[near]]], p.facet[p.met[near]]
+            pairs = np.unique(np.stack([facets, partners], axis=1), axis=0)
+            sets.append(np.concatenate([p.slave_nodes[pairs[:, 0]], p.master_nodes[pairs[:, 1]]], axis=1))
+        for p in self.planes:
+            near = p.projection.gap < self.reach + ahead + NEAR * p.size[p.rows]
+            nodes = p.slave_nodes[np.unique(p.points.facet[p.rows[near]])]
+            sets.append(np.concatenate([nodes, nodes], axis=1))
+        return self.nodes[np.concatenate(sets)]
+
+    def described(self) -> str:
+        """What may meet what, in words."""
+        planes = f" and {len(self.planes)} planes" if self.planes else ""
+        if self.pairs.listed or not self.passes:
+            return f"{len(self.pairs.listed)} contact pairs{planes}"
+        return f"contact between any of {len(self.pairs.bodies)} bodies{planes}"
+
+    def move_planes(self, factors: dict[str, float]) -> None:
+        """Bring the planes to a load level."""
+        for p in self.planes:
+            p.move(factors)
+
+    def planes_move_by(self) -> float:
+        """How far planes are from where the last converged step left them, um."""
+        return max((float(np.abs(p.offset - p.last_offset).max()) for p in self.planes), default=0.0)
+
+    def add_forces_of_planes(self, residual: PETSc.Vec) -> None:
+        """Add the planes' share of the last evaluation to a distributed residual."""
+        for terms in self._of_planes:
+            self._add(terms.nodes, terms.vectors, residual)
+
+    def hold_back(self, share: float) -> None:
+        """Let bonds resist their opening from the last evaluation on, `share` times as stiffly as they soften at most.
+
+        With a share of 1 no point of the interface softens, and a part of a step has one solution.
+        """
+        self.dragged = True
+        for p in self.every:
+            if p.law.adhesion is None:
+                continue
+            rows = p.rows[p.met]
+            live = p.law.bonded(p.history) | (p.law.adhesion.always & ~p.history.touched)
+            p.drag.start[rows] = p.projection.gap
+            p.drag.stiffness[:] = 0.0
+            p.drag.stiffness[rows] = (share * p.law.adhesion.steepness * live)[rows]
+
+    def let_go(self) -> None:
+        """End `hold_back`."""
+        self.dragged = False
+        for p in self.every:
+            p.drag = Drag.none(len(p.points.weight))
+
+    def commit(self) -> None:
+        """Let the history take in the last evaluation, the end of a converged step or of a part of one."""
+        self.last_penetration = self.penetration()
+        for p in self.planes:
+            p.last_offset = p.offset
+        for p in self.every:
+            near, gap = p.rows[p.met], p.gap
+            advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
+            p.history = p.law.lost(p.history)
+            p.history.touched[near] = advanced.touched
+            p.history.opening[near] = advanced.opening
+            p.remember()
+
+    def corner_sums(self, p: ContactPass | PlanePass, rows: NDArray[np.int64], values: Array) -> Array:
+        """Sums (f, k, ...) over all facets at the corners of this rank's: corner functions times values (m, ...)."""
+        shape = corner_kind(p.slave.kind).shape(p.points.xi[rows])
+        corners = p.slave_nodes[:, : shape.shape[1]]
+        sums = np.zeros((*corners.shape, values.shape[1]))
+        total = self._coordinates.duplicate()
+        for column in range(values.shape[1]):
+            total.set(0.0)
+            each = np.zeros((*shape.shape, self.components))
+            each[..., 0] = shape * values[:, column, None]
+            self._add(corners[p.points.facet[rows]], each, total)
+            sums[..., column] = self.gather(total)[corners, 0]
+        return sums
+
+    def give_up(self) -> None:
+        """Forget the multipliers of a solve that failed."""
+        for p in self.every:
+            p.give_up()
+
+    def places(self) -> int:
+        """Largest number of points of a facet."""
+        most = max((int(p.points.place.max(initial=-1)) for p in self.passes), default=-1)
+        return self.comm.allreduce(most + 1, op=MPI.MAX)
+
+    def least_margin(self) -> float:
+        """How far to look if nothing moved (um): two facets, the law's reach and twice the present penetration.
+
+        And twice as far as `ahead`, if a solver asks for all that may soon touch.
+        """
+        return max(2.0 * self._facet + self.reach + 4.0 * self.last_penetration, 2.0 * self.ahead)
+
+    def overlap(self) -> float:
+        """How deep slave surfaces lie inside the master's bodies at the state of the last pairing, um."""
+        position = self._reference + self._paired_at
+        deepest = 0.0
+        for p in self.passes:
+            centers, facets = position[p.slave_nodes].mean(axis=1), p.master_at(position)
+            for near, clump, own in zip(p.meetings.points, p.meetings.facets, p.meetings.own, strict=True):
+                if own:
+                    continue  # a surface lies on its own body
+                slaves = np.unique(p.points.facet[p.rows[near]])
+                depth = deepest_overlap(p.slave.kind, centers[slaves], facets[clump], p.visible.orientation[clump])
+                deepest = max(deepest, depth)
+        return self.comm.allreduce(deepest, op=MPI.MAX)
+
+    def penetration(self) -> float:
+        """Deepest penetration of the last evaluation, um."""
+        return self._deepest(-p.projection.gap for p in self.every if p.projection is not None)
+
+    def depth(self) -> float:
+        """Deepest penetration of the last evaluation in sizes of the facets that it is found on."""
+        every = (p for p in self.every if p.projection is not None)
+        return self._deepest(-p.projection.gap / p.size[p.rows[p.met]] for p in every)
+
+    def _deepest(self, depths: Iterable[Array]) -> float:
+        return self.comm.allreduce(max((float(d.max(initial=0.0)) for d in depths), default=0.0), op=MPI.MAX)
+
+    def energies(self) -> dict[str, float]:
+        """Energies of the last evaluation (pJ; 2D: per um of depth): contact, adhesion, electric, dissipated.
+
+        Points that are not near the other surface count too: they hold the adhesion of bonds that are not formed
+        and what broken ones have dissipated.
+        """
+        sums = np.zeros(4)
+        for p in self.every:
+            far = np.ones(len(p.points.weight), bool)
+            far[p.rows[p.met]] = False
+            apart = np.full(int(far.sum()), 1e30)
+            responses = [(p.response, p.rows[p.met])]
+            if p.law.adhesion is not None:
+                responses.append((p.law[far].respond(apart, None, p.history[far]), np.flatnonzero(far)))
+            for r, rows in responses:
+                weight = p.share * p.points.weight[rows]
+                sums += [float(weight @ e) for e in (r.contact, r.adhesion, r.electric, r.dissipated)]
+        total = reductions.total(self.comm, sums)
+        return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
+
+    def gather(self, vector: PETSc.Vec) -> Array:
+        """Values (n, components) of a distributed vector at the nodes of all passes that this rank sees."""
+        return self._exchange.take(vector).reshape(-1, self.components)
+
+    def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
+        unknowns = nodes[..., None] * self.components + np.arange(self.components)
+        size = len(self.nodes) * self.components
+        self._exchange.add(np.bincount(unknowns.ravel(), vectors.ravel(), size), result)

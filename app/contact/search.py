@@ -1,0 +1,102 @@
+"""Partners: which master facet each point of a pass meets, kept from one evaluation to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.contact.surface_pair import ContactPass
+from piezomat.forms.contact.gap import point_normals, project
+from piezomat.meshes.contact.local_search import closest_facets
+
+Array = NDArray[np.float64]
+
+# A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
+# the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
+KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
+KEPT = 0.1  # and at the end of a solve by this share at most
+
+
+@dataclass
+class Search:
+    """How far partners are kept and looked for.
+
+    keep: share of a facet by which a point's projection may leave it. everywhere: whether points that meet nothing
+    are looked at too, those that may be within `reach` (um) of something; far (um): how far off they may then find
+    it. touch (um): up to where a point touches something. depth (um): how deep inside a body a point may be at least.
+    drift (um): how much nearer to each other things may have come since the last search everywhere.
+    """
+
+    keep: float
+    everywhere: bool
+    reach: float
+    far: float
+    touch: float
+    depth: float
+    drift: float
+
+
+def find_partners(p: ContactPass, position: Array, search: Search) -> None:
+    """Keep the facets of a pass's points as long as they project onto them, search for the others', and project.
+
+    position (n, d): where the nodes are. Sets the pass's `facet`, `xi`, `found_beyond`, `clear`, `met`, `position` and
+    `projection`.
+    """
+    kind = p.slave.kind
+    points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
+    near = np.full(len(p.rows), search.reach)  # what comes nearer than this is to be seen
+    have = np.flatnonzero(p.facet >= 0)
+    left = np.zeros(0, np.int64)
+    if len(have):
+        facet = p.facet[have]
+        nodes = p.master_at(position, facet)
+        projection = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have])
+        p.xi[have] = projection.xi
+        # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
+        keep = np.maximum(search.keep, np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT))
+        left = have[kind.overshoot(projection.xi) > keep]
+        # Something else may have come nearer than a partner that does not touch.
+        near[have] = np.where(projection.gap > search.touch, np.minimum(projection.gap, search.reach), -np.inf)
+    lost = ~(p.clear > p.approach + near) & search.everywhere  # numbers or not
+    lost[left] = True
+    if lost.any():
+        _look_for(p, points, position, lost, search)
+    p.met = np.flatnonzero(p.facet >= 0)
+    p.position, facet = points[p.met], p.facet[p.met]
+    masters = p.master_at(position, facet)
+    p.projection = project(kind, p.position, masters, p.visible.orientation[facet], p.xi[p.met])
+    p.xi[p.met] = p.projection.xi
+
+
+def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:
+    kind = p.slave.kind
+    own = p.points.facet[p.rows[lost]]
+    normals = np.zeros_like(points)
+    normals[lost] = point_normals(kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own])
+    p.facet[lost], p.clear[lost] = -1, -np.inf
+    least = np.full(len(p.rows), np.inf)  # gap of the partner
+    away = np.full(len(p.rows), np.inf)  # least distance of the partner's clump, plus approach
+    clear = np.full(len(p.rows), np.inf)  # and of all others
+    for near, facets, own in zip(p.meetings.points, p.meetings.facets, p.candidates, strict=True):
+        tried = near[lost[near]]
+        if not len(tried):
+            continue
+        nodes, orientation, key = p.master_at(position, facets), p.visible.orientation[facets], p.visible.key[facets]
+        pairs, depth = None, max(p.depth, search.depth)
+        if own is not None:
+            pairs, depth = own.of_points(p.points.facet[p.rows[tried]]), max(p.own_depth, search.depth)
+        given = points[tried], normals[tried], nodes, orientation, key, max(search.far, depth), depth, pairs
+        found, xi, off = closest_facets(kind, *given)
+        off += p.approach[tried] - search.drift
+        met = np.flatnonzero(found >= 0)
+        gap = np.full(len(tried), np.inf)
+        gap[met] = project(kind, points[tried[met]], nodes[found[met]], orientation[found[met]], xi[met]).gap
+        # Of several bodies a point meets the one that it is deepest in, or nearest to.
+        nearer = (gap < least[tried]) & (gap <= search.far)
+        clear[tried] = np.minimum(clear[tried], np.where(nearer, away[tried], off))
+        tried, found, xi, gap = tried[nearer], found[nearer], xi[nearer], gap[nearer]
+        least[tried], away[tried], p.facet[tried], p.xi[tried] = gap, off[nearer], facets[found], xi
+        p.found_beyond[tried] = np.where(gap > search.touch, kind.overshoot(xi), 0.0)
+    p.clear[lost] = clear[lost]

@@ -1,0 +1,291 @@
+"""Contact passes: the points of a slave surface against a master surface, what they remember and how they are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.contact.nodal_state import NodalState
+from piezomat.forms.contact.augmentation import Shift
+from piezomat.forms.contact.gap import Projection, project
+from piezomat.forms.contact.integrals import SlavePoints, first_changes
+from piezomat.forms.contact.laws.interface import Drag, History, InterfaceLaw, Response
+from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
+from piezomat.forms.contact.smoothing import rounded, spread
+from piezomat.meshes.contact.global_search import Meetings, Rule, VisibleFacets
+from piezomat.meshes.contact.load_balance import SlaveFacets
+from piezomat.meshes.contact.local_search import facing_pairs, near_pairs
+from piezomat.meshes.contact.self_contact import Candidates, OwnSurface, Sides
+
+Array = NDArray[np.float64]
+
+# Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
+# the square of it.
+CUT_DRIFT = 1e-3
+# How much further than its nodes a point of a facet may move, by the facet's order: Lebesgue's constant of triangles.
+LARGEST_SHAPE = {1: 1.0, 2: 5.0 / 3.0}
+EVERY = slice(None)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """How pairs are numbered and named: those of the scene in their order, or two bodies i < j as i * count + j.
+
+    listed: the pairs that have columns in the history, and their numbers in the contact points written.
+    """
+
+    bodies: tuple[str, ...]
+    given: tuple[str, ...] | None
+    listed: dict[int, str]
+
+    def name(self, number: int) -> str:
+        """The name of a pair."""
+        if self.given is not None:
+            return self.given[number]
+        return "-".join(self.bodies[i] for i in divmod(number, len(self.bodies)))
+
+    def of_bodies(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Numbers of pairs of bodies."""
+        return np.minimum(first, second) * len(self.bodies) + np.maximum(first, second)
+
+
+@dataclass
+class ContactPass:
+    """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
+
+    A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by
+    their clumps which facets may meet. `slave` are those whose points this rank evaluates, `master` those whose
+    cells it holds, `first` whether the slave is the first of its pair. `share` is the pass's share of the contact
+    enthalpy (1/2 each with two passes). `meets`: which points can meet anything, as pieces that no master facet
+    covers cannot. After a pairing, `rows` are the points near the master, `candidates` for each of the `meetings`
+    the facets of their own part that they may meet, or None if it is not their own, `facet` and `xi` their
+    partners in `visible` and where, `met` those of the rows that have one, and `found_beyond` the share of a facet
+    by which a point that did not touch was beyond its partner when that was found; all else is further off than
+    `clear` - `approach` (um), which is how much nearer things may have come, growing from search to search. The
+    last evaluation is kept, with `force` and `position` (m, d) of the points that met a facet, and `gap` (m,),
+    which the law sees: that of `projection` and the multipliers' `shift`. foreseen (2, m): changes of gap and jump
+    after which the law is to answer, see `foresight`.
+    size (m,): size of each point's slave facet, um. depth: a point further inside a body than this (um) has come from
+    its far side and meets nothing; own_depth: the same in its own part, thinner than it seems if it is bent.
+
+    With `segments`, points are those of the slave facets' pieces, anew at every pairing; penalties and adhesion are a
+    facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
+    """
+
+    pair: int
+    slave: SlaveFacets
+    master: VisibleFacets
+    master_bodies: frozenset[int]
+    rule: Rule
+    points: SlavePoints
+    law: InterfaceLaw
+    share: float
+    first: bool
+    size: Array
+    depth: float
+    own_depth: float
+    segments: bool = False
+    meets: NDArray[np.bool_] = field(init=False)
+    history: History = field(init=False)
+    shift: Shift = field(init=False)
+    drag: Drag = field(init=False)
+    meetings: Meetings = field(init=False)
+    candidates: list[Candidates | None] = field(init=False)
+    visible: VisibleFacets = field(init=False)
+    own: OwnSurface | None = field(init=False, default=None)
+    rows: NDArray[np.int64] = field(init=False)
+    facet: NDArray[np.int64] = field(init=False)
+    xi: Array = field(init=False)
+    found_beyond: Array = field(init=False)
+    clear: Array = field(init=False)
+    approach: Array = field(init=False)
+    slave_nodes: NDArray[np.int64] = field(init=False)
+    master_nodes: NDArray[np.int64] = field(init=False)
+    met: NDArray[np.int64] = field(init=False)
+    projection: Projection | None = field(init=False, default=None)
+    gap: Array = field(init=False)
+    response: Response | None = field(init=False, default=None)
+    jump: Array | None = field(init=False, default=None)
+    force: Array = field(init=False)
+    position: Array = field(init=False)
+    foreseen: Array | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        first = np.searchsorted(self.points.facet, np.arange(len(self.slave)))
+        self._of_facets = (self.law[first], self.size[first]) if self.segments else None
+        self.meets = np.ones(len(self.points.weight), bool)
+        self.history = History.virgin(len(self.points.weight))
+        self.shift = Shift.none(self.slave.kind, len(self.slave))
+        self.drag = Drag.none(len(self.points.weight))
+        self.remember()
+
+    def remember(self) -> None:
+        """Take points and history for those of the last converged step."""
+        self._converged = self.memory()
+
+    def memory(self) -> tuple[SlavePoints, History, Shift]:
+        """What is remembered of a converged step: points, their history, their multipliers."""
+        return self.points, self.history.copy(), self.shift.copy()
+
+    def recall(self, memory: tuple[SlavePoints, History, Shift]) -> None:
+        """Go back to what was remembered."""
+        self._take(memory[0])
+        self.history, self.shift, self._converged = memory[1].copy(), memory[2].copy(), memory
+
+    def give_up(self) -> None:
+        """Go back to the multipliers of the last converged step: those of a solve that failed are worth nothing."""
+        self.shift = self._converged[2].copy()
+
+    def cut(self, position: Array, reach: float) -> None:
+        """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
+        slave = Facets(self.slave_at(position), self.slave.orientation, self.slave.key)
+        master = Facets(self.master_at(position), self.visible.orientation, self.visible.key)
+        kind = self.slave.kind
+        pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
+        allowed = self.may_meet(*pairs)
+        pairs = pairs[0][allowed], pairs[1][allowed]
+        before, (converged, history, _) = self.points, self._converged
+        points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
+        drag = self.drag[nearest_points(points.facet, points.xi, before)]
+        self._take(points)
+        self.meets, self.drag = meets, drag
+        self._whole = ~np.isin(points.facet, pairs[0])
+        self.history = history[nearest_points(points.facet, points.xi, converged)]
+
+    def own_surface(self, reference: Array, along: Array) -> OwnSurface:
+        """The surface in the undeformed state; nodes are at `reference` (n, d) and so far `along` (n,) their part."""
+        kind, slave, visible = self.slave.kind, self.slave_at(reference), self.master_at(reference)
+        ours, theirs = along[self.slave_nodes], along[self.master_nodes]
+        return OwnSurface(
+            Sides.of(kind, slave, self.slave.orientation, ours, self.slave_nodes, self.slave.key),
+            Sides.of(kind, visible, self.visible.orientation, theirs, self.master_nodes, self.visible.key),
+        )
+
+    def may_meet(self, slave: NDArray[np.int64], master: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether points of slave facets may meet visible master facets, (k,) each."""
+        ours, theirs = self.slave.clump[slave], self.visible.clump[master]
+        may = self.rule.allows(ours, theirs)
+        if self.own is not None:
+            joined = np.flatnonzero(may & self.rule.joined(ours, theirs))
+            pairs = slave[joined], master[joined]
+            may[joined] = self.own.may_meet(*pairs)
+            if self.rule.ordered:
+                may[joined] &= (ours != theirs)[joined] | self.own.precedes(*pairs)
+        return may
+
+    def near_own(
+        self, position: Array, slaves: NDArray[np.int64], facets: NDArray[np.int64], margin: float
+    ) -> Candidates:
+        """Those `facets` of their own part that points of slave facets may meet and that come within `margin`."""
+        i, j = near_pairs(self.slave_at(position, slaves), self.master_at(position, facets), margin)
+        may = self.may_meet(slaves[i], facets[j])
+        return Candidates.of(slaves[i[may]], j[may], len(self.slave))
+
+    def slave_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
+        """Nodes (f, n, d) of slave facets, those of curved ones that have no number included, nodes at `position`."""
+        return rounded(self.slave.kind, position[self.slave_nodes[facet]], self.slave.rounding[facet])
+
+    def master_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
+        """The same of the visible master facets."""
+        return rounded(self.slave.kind, position[self.master_nodes[facet]], self.visible.rounding[facet])
+
+    def motions(self, change: Array, bodies: int) -> Array:
+        """How far (bodies,) the facets of each body that are seen here have moved at most, nodes by `change` (n, d)."""
+        length = LARGEST_SHAPE[self.slave.kind.order] * np.linalg.norm(change, axis=1)
+        found = np.zeros(bodies)
+        for clump, nodes in ((self.slave.clump, self.slave_nodes), (self.visible.clump, self.master_nodes)):
+            np.maximum.at(found, self.rule.body(clump), length[nodes].max(axis=1, initial=0.0))
+        return found
+
+    def come_nearer(self, motions: Array) -> None:
+        """Note that bodies have moved by these distances (b,)."""
+        others = np.zeros(len(self.rows))
+        for near, clump in zip(self.meetings.points, self.meetings.clump, strict=True):
+            others[near] = np.maximum(others[near], motions[self.rule.body(clump)])
+        self.approach += motions[self.rule.body(self.slave.clump[self.points.facet[self.rows]])] + others
+
+    def potentials_at(self, potentials: Array, slave: NDArray, master: NDArray) -> tuple[Array, Array]:
+        """Nodal potentials (m, n) of slave and of master facets."""
+        kind = self.slave.kind
+        return (
+            spread(kind, potentials[self.slave_nodes[slave]], self.slave.rounding[slave]),
+            spread(kind, potentials[self.master_nodes[master]], self.visible.rounding[master]),
+        )
+
+    def first_changes(self, at: NodalState, change: Array) -> Array:
+        """First-order changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
+        rows, partner = self.rows[self.met], self.facet[self.met]
+        facet, there = self.points.facet[rows], None
+        if self.jump is not None:
+            there = self.potentials_at(at.potentials, facet, partner)[1]
+        nodes = np.concatenate([self.slave_nodes[facet], self.master_nodes[partner]], axis=1)
+        roundings = self.slave.rounding[facet], self.visible.rounding[partner]
+        kind, shape = self.slave.kind, self.points.shape[rows]
+        changes = first_changes(kind, self.projection, shape, change[nodes], there, roundings=roundings)
+        return changes * [[1.0], [at.scale or 0.0]]
+
+    def has_slid(self, before: Array, reach: float) -> bool:
+        """Whether points that answer have slid since the nodes were at `before`, or are on facets never cut."""
+        answers = (self.projection.gap < reach) | (self.response.slope != 0.0)
+        rows, met = self.rows[self.met[answers]], self.met[answers]
+        facet, master = self.points.facet[rows], self.facet[met]
+        points = np.einsum("mk,mkd->md", self.points.shape[rows], self.slave_at(before, facet))
+        nodes, sign, xi = self.master_at(before, master), self.visible.orientation[master], self.xi[met]
+        slide = np.abs(project(self.slave.kind, points, nodes, sign, xi).xi - xi).max(initial=0.0)
+        return bool(slide > CUT_DRIFT or self._whole[rows].any())
+
+    def _take(self, points: SlavePoints) -> None:
+        self.points, self.meets = points, np.ones(len(points.weight), bool)
+        self.drag = Drag.none(len(points.weight))
+        if self.segments:
+            law, size = self._of_facets
+            self.law, self.size = law[points.facet], size[points.facet]
+
+    def met_clump(self) -> NDArray[np.int64]:
+        """The clump that each point of the last evaluation met, (met,)."""
+        return self.visible.clump[self.facet[self.met]]
+
+    def met_own(self) -> NDArray[np.bool_]:
+        """Whether each point of the last evaluation met a facet of its own connected part, (met,)."""
+        return self.rule.joined(self.slave.clump[self.points.facet[self.rows[self.met]]], self.met_clump())
+
+    def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Number of the pair that each point met belongs to, and whether the point is on the first of the two.
+
+        Of a body and itself the first is what comes first along it.
+        """
+        if pairs.given is not None:
+            return np.full(len(self.met), self.pair), np.full(len(self.met), self.first)
+        slave = self.rule.body(self.slave.clump[self.points.facet[self.rows[self.met]]])
+        master = self.rule.body(self.met_clump())
+        first = slave < master
+        if self.own is not None:
+            same = np.flatnonzero(slave == master)
+            first[same] = self.own.precedes(self.points.facet[self.rows[self.met[same]]], self.facet[self.met[same]])
+        return pairs.of_bodies(slave, master), first
+
+    def keys(self) -> NDArray[np.int64]:
+        """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
+        return self._keys(self.points.facet, self.points.place)
+
+    def corner_keys(self) -> NDArray[np.int64]:
+        """(facets * corners, 4) numbers of the corners of the facets."""
+        return self._keys(*(index.ravel() for index in np.indices(self.shift.gap.shape)))
+
+    def every_key(self, places: int) -> NDArray[np.int64]:
+        """Keys of all points that the facets could have, so many places each."""
+        facet, place = np.divmod(np.arange(len(self.slave) * places), places)
+        return self._keys(facet, place)
+
+    def recover(self, xi: Array, found: NDArray[np.bool_], places: int) -> None:
+        """Take the points of a checkpoint, asked for by `every_key`; their weights come when they are cut anew."""
+        facet, place = np.divmod(np.flatnonzero(found), places)
+        none = np.zeros(len(facet))
+        self._take(SlavePoints(facet, place, xi[found], self.slave.kind.shape(xi[found]), none, none))
+        self.history = History.virgin(len(facet))
+
+    def _keys(self, facet: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+        same = np.ones(len(facet), np.int64)
+        return np.stack([self.pair * same, int(self.first) * same, self.slave.key[facet], place], axis=1)

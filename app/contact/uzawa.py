@@ -1,0 +1,37 @@
+"""A step of augmentation: what multipliers take in between two solutions, and what is left of gaps and jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.contact.interfaces import Contact
+from piezomat.forms.contact.augmentation import together
+from piezomat.meshes import reductions
+
+Array = NDArray[np.float64]
+
+
+def augment(contact: Contact, tolerance: float, potential_range: float) -> Array | None:
+    """None if gaps and jumps of the last evaluation are within a tolerance; else a step of Uzawa's, and what they are.
+
+    tolerance: in facet sizes, and in the range of the potential (V), as is what is left (2,). Collective. Source:
+    forms/contact/augmentation.py.
+    """
+    after, worst = [], np.zeros(2)
+    for p in contact.every:
+        rows = p.rows[p.met]
+        share, jump = together(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
+        means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
+        new = p.shift.augmented(contact.corner_sums(p, rows, p.points.weight[rows, None] * means))
+        size = np.zeros(len(p.slave))
+        size[p.points.facet] = p.size
+        gap, jump = np.abs(new.gap - p.shift.gap) / size[:, None], np.abs(new.jump - p.shift.jump) / potential_range
+        worst = np.maximum(worst, [gap.max(initial=0.0), jump.max(initial=0.0)])
+        after.append(new)
+    left = reductions.largest(contact.comm, worst)
+    if (left <= tolerance).all():
+        return None
+    for p, new in zip(contact.every, after, strict=True):
+        p.shift = new
+    return left

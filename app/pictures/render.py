@@ -1,0 +1,122 @@
+"""Three-dimensional bodies as an image whose scale is known, and a plane section of them."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.pictures.data import Bodies, Floats, Integers
+
+VIEW = (1.0, -1.7, 0.9)  # from where the bodies are seen: axis z up, x to the right
+PIXELS = (1500, 1200)
+_LIGHT = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.0}
+
+
+@dataclass(frozen=True)
+class Image:
+    """A parallel projection: pixels (rows, columns, 3), extent (left, right, bottom, top) in um, and the
+    directions in space of the image's right and top."""
+
+    pixels: NDArray[np.uint8]
+    extent: tuple[float, float, float, float]
+    right: Floats
+    up: Floats
+
+
+def render(
+    bodies: Bodies, factor: float, scalars: Floats, limits: tuple[float, float], colours: str, outline: str
+) -> Image:
+    """The bodies displaced by `factor` times their displacement, coloured by nodal scalars within limits.
+
+    The edges they have without load are drawn in the colour `outline`.
+    """
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    surface = _surface(bodies, bodies.points + factor * bodies.displacement, scalars)
+    before = _surface(bodies, bodies.points, scalars)
+    right, up, towards = _view()
+    every = np.vstack([surface.points, before.points])
+    flat = every @ np.column_stack([right, up, towards])
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    centre = np.column_stack([right, up, towards]) @ ((low + high) / 2)
+    half = 0.5 * 1.06 * (high - low)
+
+    # VTK says on standard error that it found no screen, and then does without
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        scale = min(PIXELS[0] / half[0], PIXELS[1] / half[1])
+        size = (max(int(half[0] * scale), 16), max(int(half[1] * scale), 16))
+        plotter = pyvista.Plotter(off_screen=True, window_size=size)
+        try:
+            plotter.set_background("white")
+            plotter.enable_anti_aliasing("ssaa")
+            shown = surface.compute_normals(
+                cell_normals=False, split_vertices=True, feature_angle=35.0, auto_orient_normals=False
+            )
+            plotter.add_mesh(
+                shown,
+                scalars="scalars",
+                cmap=colours,
+                clim=limits,
+                smooth_shading=True,
+                show_scalar_bar=False,
+                **_LIGHT,
+            )
+            # a little nearer to the eye than the surfaces they lie on; in parallel projection nothing moves
+            for mesh, colour, nearer in ((before, outline, 1e-3), (surface, "#303030", 2e-3)):
+                edges = mesh.extract_feature_edges(35.0, non_manifold_edges=False, manifold_edges=False)
+                if edges.n_points:
+                    edges.points += nearer * bodies.size * towards
+                    plotter.add_mesh(edges, color=colour, line_width=4, lighting=False)
+            camera = plotter.camera
+            camera.parallel_projection = True
+            camera.focal_point = centre
+            camera.position = centre + 10 * float(np.ptp(flat, axis=0).max()) * towards
+            camera.up = up
+            camera.parallel_scale = half[1]
+            plotter.reset_camera_clipping_range()
+            pixels = plotter.screenshot(return_img=True)
+        finally:
+            plotter.close()
+    finally:
+        vtkLogger.SetStderrVerbosity(verbosity)
+    width = half[1] * pixels.shape[1] / pixels.shape[0]
+    return Image(np.asarray(pixels), (-width, width, -half[1], half[1]), right, up)
+
+
+def section(bodies: Bodies, scalars: Floats, origin: Floats, across: Floats) -> list[tuple[Floats, Integers, Floats]]:
+    """Cut of the deformed bodies by the plane through `origin` normal to `across`.
+
+    Of each body that it meets: points (n, 3), triangles (t, 3), scalars (n,).
+    """
+    # a hair aside: a plane through the nodes of a symmetric mesh would cut the cells on both of its sides
+    origin = origin + 1.2345e-4 * bodies.size * across
+    cut = bodies.vtk(bodies.points + bodies.displacement, scalars).slice(normal=across, origin=origin)
+    if cut.n_cells == 0:
+        return []
+    cut = cut.triangulate()
+    triangles = cut.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
+    points, values, body = np.asarray(cut.points, float), np.asarray(cut["scalars"]), cut["body"]
+    return [(points, triangles[body == number], values) for number in np.unique(body)]
+
+
+def _surface(bodies: Bodies, points: Floats, scalars: Floats) -> Any:
+    """Surface of the bodies in triangles, sides of order-2 cells followed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pyvista's notice of a default to come
+        surface = bodies.vtk(points, scalars).extract_surface(nonlinear_subdivision=2)
+    return surface.triangulate()
+
+
+def _view() -> tuple[Floats, Floats, Floats]:
+    """Directions in space of the image's right, of its top, and towards the viewer."""
+    towards = np.array(VIEW) / np.linalg.norm(VIEW)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    return right, np.cross(towards, right), towards

@@ -1,0 +1,294 @@
+"""State of a run on disk, so that it goes on after an interruption, on any number of ranks, bit for bit.
+
+The folder holds `step_0007.npz` of the last converged step, an ordinary NumPy archive: nodal values stand
+with the node numbers of the mesh file, those of contact points with keys that do not depend on the ranks. A
+process killed at any moment leaves the newest complete file in place.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from piezomat.results.atomic import on_root, replacing
+
+Keyed = tuple[NDArray[np.int64], NDArray[Any]]
+
+FORMAT = 1
+# Rows that travel and are written at once: they bound what rank 0 holds, whatever the size of the mesh.
+SLICE = 1 << 16
+_FILE = re.compile(r"\.?step_(?P<step>\d{4,})(?P<unfinished>\.part)?\.npz")
+_CONTENT = "content.json"
+
+
+class CheckpointError(ValueError):
+    """A checkpoint is missing, damaged, of another mesh, or cannot be written; the message says which."""
+
+
+def save(
+    comm: MPI.Comm,
+    directory: Path,
+    step: int,
+    nodal: Mapping[str, Keyed],
+    points: Mapping[str, Keyed],
+    scalars: Mapping[str, Any],
+) -> None:
+    """Write the state after `step` to `directory`/step_NNNN.npz, then remove the one before. Collective.
+
+    nodal[name] = (ids (n,), values (n, ...)) and points[name] = (keys (m, 4), values (m, ...)) hold what this
+    rank owns, with the same names, trailing shapes and types on every rank; scalars, rank 0's, become JSON.
+    CheckpointError: it cannot be written (the one before is then still there).
+    """
+    directory = Path(directory)
+    arrays = _arrays(comm, nodal, points)
+    content = {"format": FORMAT, "step": step, "scalars": scalars}
+    incoming = _incoming(comm, arrays)
+
+    def write() -> None:
+        try:
+            text = json.dumps(content, default=_plain)
+            directory.mkdir(parents=True, exist_ok=True)
+            path = directory / f"step_{step:04d}.npz"
+            with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+                archive.writestr(_CONTENT, text)
+                for array, blocks in groupby(incoming, key=lambda item: item[0]):
+                    with archive.open(f"{array.name}.npy", "w", force_zip64=True) as file:
+                        np.lib.format.write_array_header_1_0(file, array.header())
+                        for _, block in blocks:
+                            file.write(np.ascontiguousarray(block).tobytes())
+            for file in directory.iterdir():
+                if _FILE.fullmatch(file.name) and file != path:
+                    file.unlink()
+        finally:
+            # after a failure the other ranks still send: receive it all, so that none is left waiting
+            for _ in incoming:
+                pass
+
+    try:
+        if comm.rank > 0:
+            for _ in incoming:
+                pass
+        on_root(comm, write)
+    except OSError as error:
+        raise CheckpointError(f"cannot write a checkpoint in {directory}: {error}") from error
+
+
+def load(comm: MPI.Comm, directory: Path) -> Checkpoint:
+    """The newest complete checkpoint of a folder, checked as a whole. Collective. CheckpointError: none."""
+    directory = Path(directory)
+
+    def newest() -> tuple[Path, dict[str, Any], list[str]]:
+        files = []
+        for file in directory.iterdir() if directory.is_dir() else ():
+            match = _FILE.fullmatch(file.name)
+            if match and not match["unfinished"]:
+                files.append((int(match["step"]), file))
+        if not files:
+            raise CheckpointError(f"there is no checkpoint in {directory}")
+        damage = ""
+        for _, path in sorted(files, reverse=True):
+            try:
+                return path, *_read_content(path)
+            except Exception as error:  # a damaged archive can raise anything
+                damage = damage or f"{path} is damaged or not a checkpoint: {error}"
+        raise CheckpointError(damage)
+
+    return Checkpoint(comm, *on_root(comm, newest))
+
+
+class Checkpoint:
+    """A checkpoint that has been found sound: `step`, `scalars`, and values by their keys.
+
+    Use it before the next `save` into the same folder, which removes the file.
+    """
+
+    def __init__(self, comm: MPI.Comm, path: Path, content: dict[str, Any], arrays: list[str]) -> None:
+        self.comm = comm
+        self.path = path
+        self.step: int = content["step"]
+        self.scalars: dict[str, Any] = content["scalars"]
+        self._arrays = frozenset(arrays)
+
+    def nodal(self, name: str, ids: NDArray[np.int64]) -> NDArray[Any]:
+        """Values (n, ...) of the nodes `ids` (n,), which each rank chooses for itself. Collective.
+
+        CheckpointError: no such values, or a node of which there are none (another mesh).
+        """
+        values, found = self._values(f"nodal/{name}", np.asarray(ids, np.int64).reshape(-1, 1))
+        missing = self.comm.allreduce(int(np.count_nonzero(~found)))
+        if missing:
+            raise CheckpointError(
+                f"{self.path} has no value of '{name}' for {missing} nodes: it belongs to another mesh"
+            )
+        return values
+
+    def points(self, name: str, keys: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Values (m, ...) of the points `keys` (m, 4) of this rank, and whether each has one. Collective.
+
+        A point of which there is no value gets zeros. CheckpointError: no such values.
+        """
+        return self._values(f"points/{name}", np.asarray(keys, np.int64).reshape(-1, 4))
+
+    def _values(self, table: str, wanted: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        if f"{table}/keys" not in self._arrays:
+            kind, name = table.split("/", 1)
+            raise CheckpointError(f"{self.path} has no {kind} values '{name}'")
+        index = _Index(wanted)
+        values: NDArray[Any] | None = None
+        found = np.zeros(index.size, bool)
+        reader = _read_table(self.path, table) if self.comm.rank == 0 else iter(())
+        try:
+            while (block := on_root(self.comm, lambda: next(reader, None))) is not None:
+                keys, offered = block
+                if values is None:
+                    values = np.zeros((index.size, *offered.shape[1:]), offered.dtype)
+                rows, places = index.match(keys)
+                values[places] = offered[rows]
+                found[places] = True
+        except (OSError, zipfile.BadZipFile) as error:
+            raise CheckpointError(f"cannot read {self.path}: {error}") from error
+        assert values is not None  # a table has at least one block, which may be empty
+        return values[index.places], found[index.places]
+
+
+class _Array(NamedTuple):
+    """An array of the archive: its name, its type, and its shape over all ranks."""
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+
+    def header(self) -> dict[str, Any]:
+        return {"descr": self.dtype, "fortran_order": False, "shape": self.shape}
+
+
+def _arrays(
+    comm: MPI.Comm, nodal: Mapping[str, Keyed], points: Mapping[str, Keyed]
+) -> list[tuple[_Array, NDArray[Any]]]:
+    """What is to be written, with this rank's rows; ValueError on every rank if the ranks do not agree."""
+    local: list[tuple[str, NDArray[Any]]] = []
+    fault = ""
+    for kind, tables, trailing in (("nodal", nodal, ()), ("points", points, (4,))):
+        for name, (keys, values) in tables.items():
+            keys, values = np.asarray(keys), np.asarray(values)
+            if keys.dtype != np.int64 or keys.shape != (len(values), *trailing):
+                fault = f"{kind} '{name}': keys {keys.dtype} {keys.shape} do not fit values {values.shape}"
+            local += [(f"{kind}/{name}/keys", keys), (f"{kind}/{name}/values", values)]
+    described = comm.allgather((fault, [(name, rows.dtype.str, rows.shape) for name, rows in local]))
+    faults = [fault for fault, _ in described if fault]
+    forms = {tuple((name, kind, shape[1:]) for name, kind, shape in arrays) for _, arrays in described}
+    if faults or len(forms) != 1:
+        raise ValueError(f"cannot save: {faults[0] if faults else 'the ranks give different arrays'}")
+    totals = [sum(arrays[i][2][0] for _, arrays in described) for i in range(len(local))]
+    return [
+        (_Array(name, rows.dtype.str, (total, *rows.shape[1:])), rows)
+        for (name, rows), total in zip(local, totals, strict=True)
+    ]
+
+
+def _incoming(comm: MPI.Comm, arrays: list[tuple[_Array, NDArray[Any]]]) -> Iterator[tuple[_Array, NDArray[Any]]]:
+    """On rank 0 every rank's rows, array by array, in blocks of at most SLICE; the other ranks send them."""
+    for array, rows in arrays:
+        counts = comm.allgather(len(rows))
+        for rank, count in enumerate(counts):
+            # rank 0 gives at least one block, so that an array without rows is written too
+            for start in range(0, max(count, rank == 0), SLICE):
+                size = min(SLICE, count - start)
+                if rank == 0 and comm.rank == 0:
+                    yield array, rows[start : start + size]
+                elif comm.rank == 0:
+                    block = np.empty((size, *array.shape[1:]), array.dtype)
+                    comm.Recv([block.view(np.uint8), MPI.BYTE], source=rank)
+                    yield array, block
+                elif comm.rank == rank:
+                    block = np.ascontiguousarray(rows[start : start + size])
+                    comm.Send([block.view(np.uint8), MPI.BYTE], dest=0)
+
+
+def _read_content(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """Content and names of the arrays of a checkpoint; any exception if it is not whole."""
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+        if damaged is not None:
+            raise ValueError(f"'{damaged}' in it is not what was written")
+        content = json.loads(archive.read(_CONTENT))
+        if content["format"] != FORMAT:
+            raise ValueError(f"its format is {content['format']}, this piezomat reads {FORMAT}")
+        arrays = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+        return {"step": int(content["step"]), "scalars": dict(content["scalars"])}, arrays
+
+
+def _read_table(path: Path, table: str) -> Iterator[Keyed]:
+    """Keys and values of a table in blocks of at most SLICE rows, at least one block."""
+    with (
+        zipfile.ZipFile(path) as archive,
+        archive.open(f"{table}/keys.npy") as key_file,
+        archive.open(f"{table}/values.npy") as value_file,
+    ):
+        headers = []
+        for file in (key_file, value_file):
+            np.lib.format.read_magic(file)
+            headers.append(np.lib.format.read_array_header_1_0(file))
+        rows = headers[0][0][0]
+        for start in range(0, max(rows, 1), SLICE):
+            size = min(SLICE, rows - start)
+            blocks = []
+            for file, (shape, _, dtype) in zip((key_file, value_file), headers, strict=True):
+                block = np.empty((size, *shape[1:]), dtype)
+                data = file.read(block.nbytes)
+                blocks.append(np.frombuffer(data, dtype).reshape(block.shape))
+            yield blocks[0], blocks[1]
+
+
+class _Index:
+    """Finds the rows of a set of integer keys; built once, then asked block by block.
+
+    Column after column, the row so far and the next entry become one number: their places among those that
+    occur, so that it stays below (number of rows) squared.
+    """
+
+    def __init__(self, wanted: NDArray[np.int64]) -> None:
+        self._levels: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+        code = np.zeros(len(wanted), np.int64)
+        for column in wanted.T:
+            values, place = np.unique(column, return_inverse=True)
+            codes, code = np.unique(code * len(values) + place, return_inverse=True)
+            self._levels.append((values, codes))
+        # the place of each wanted row among the different ones, and how many of those there are
+        self.places = code
+        self.size = int(code.max(initial=-1)) + 1
+
+    def match(self, keys: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Rows of `keys` that are wanted, and the place of each."""
+        rows = np.arange(len(keys))
+        code = np.zeros(len(keys), np.int64)
+        for (values, codes), column in zip(self._levels, np.atleast_2d(keys.T), strict=True):
+            place, known = _find(values, column[rows])
+            rows, code = rows[known], code[known] * len(values) + place[known]
+            place, known = _find(codes, code)
+            rows, code = rows[known], place[known]
+        return rows, code
+
+
+def _find(sorted_values: NDArray[np.int64], wanted: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Place of each wanted value in a sorted array, and whether it is there."""
+    if not len(sorted_values):
+        return np.zeros(len(wanted), np.int64), np.zeros(len(wanted), bool)
+    place = np.minimum(np.searchsorted(sorted_values, wanted), len(sorted_values) - 1)
+    return place, sorted_values[place] == wanted
+
+
+def _plain(value: Any) -> Any:
+    """numpy's numbers and arrays as Python's own, for JSON."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be written to a checkpoint")

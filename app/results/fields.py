@@ -1,0 +1,105 @@
+"""From a converged state to what is written of it: fields in the cells, contact points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import ufl
+from numpy.typing import NDArray
+
+from piezomat.contact.interfaces import Contact
+from piezomat.contact.rigid_plane import PlanePass
+from piezomat.contact.surface_pair import ContactPass
+from piezomat.discretization.model import Model
+from piezomat.forms import fenicsx
+from piezomat.forms.kinematics import deformation_gradient, push_forward
+from piezomat.forms.piezo import strain_and_field
+from piezomat.results.vtk import ContactPoints, FieldPiece, grid
+
+Array = NDArray[np.float64]
+
+
+class FieldOutput:
+    """Turns states of a model into field pieces; cell values are those at the cells' centres.
+
+    With finite kinematics they are the current ones: Cauchy stress, field and electric displacement of space.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._grid = grid(model.mesh)
+        nodes, geometry = fenicsx.dofmap(model.space), fenicsx.geometry_dofmap(model.mesh)
+        self._node = np.zeros(len(self._grid.points), np.int64)
+        self._node[geometry] = nodes
+        state = strain_and_field(model.state, model.scene.model.kinematics)
+        self._state = fenicsx.center_expression(state, model.mesh)
+        self._gradient: Any = None
+        if model.scene.model.kinematics == "finite":
+            gradient = ufl.grad(model.state)
+            entries = [gradient[i, j] for i in range(model.dim) for j in range(model.dim)]
+            self._gradient = fenicsx.center_expression(ufl.as_vector(entries), model.mesh)
+
+    def piece(self) -> FieldPiece:
+        """This rank's fields at the model's present state. Collective."""
+        model = self.model
+        values = model.state.x.array.reshape(-1, model.block)[self._node]
+        cells = len(self._grid.cells)
+        state = fenicsx.at_centers(self._state, model.mesh)
+        strains = model.dim * (model.dim + 1) // 2
+        strain, stress = np.zeros((cells, 6)), np.zeros((cells, 6))
+        field, density = np.zeros((cells, 3)), np.zeros((cells, 3))
+        potential = None
+        if model.electric:
+            potential = model.potential_scale * values[:, model.dim]
+            field[:, : model.dim] = model.potential_scale * state[:, strains:]
+        for number, material in enumerate(model.materials):
+            rows = model.bodies.cell_body == number
+            response = material.response(
+                state[rows, :strains], field[rows, : model.dim], model.dim, model.scene.model.plane
+            )
+            strain[rows], stress[rows], density[rows] = response
+        if self._gradient is not None:
+            gradient = fenicsx.at_centers(self._gradient, model.mesh).reshape(cells, model.dim, model.dim)
+            f = deformation_gradient(gradient, strain[:, 2])
+            stress, field, density = push_forward(f, stress, field, density)
+        electric = {"potential": potential, "electric_field": field, "electric_displacement": density}
+        return FieldPiece(
+            self._grid,
+            _in_space(values[:, : model.dim]),
+            stress,
+            model.bodies.cell_body,
+            **(electric if model.electric else {}),
+        )
+
+
+def contact_points(contact: Contact, electric: bool) -> ContactPoints:
+    """This rank's contact points near another surface or a plane, at the last evaluation."""
+    columns: list[list[Array]] = [[] for _ in range(7)]
+    for p in contact.every:
+        rows = p.rows[p.met]
+        gap = p.projection.gap
+        pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
+        jump = p.jump if p.jump is not None else np.zeros(len(gap))
+        status = p.law[rows].status(p.gap, p.history[rows])
+        parts = [p.position, p.projection.normal, gap, pressure, status, _pair_numbers(contact, p), jump]
+        for column, part in zip(columns, parts, strict=True):
+            column.append(part)
+    position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)
+    return ContactPoints(
+        _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if electric else None
+    )
+
+
+def _pair_numbers(contact: Contact, p: ContactPass | PlanePass) -> NDArray[np.int64]:
+    """The place of each point's pair among the listed ones, its number where none are listed; then come planes."""
+    pairs = contact.pairs
+    if isinstance(p, PlanePass):
+        beyond = len(pairs.bodies) ** 2 if pairs.given is None and not pairs.listed else len(pairs.listed)
+        return np.full(len(p.rows), beyond + contact.planes.index(p))
+    number, _ = p.pairs_met(pairs)
+    return np.searchsorted(list(pairs.listed), number) if pairs.listed else number
+
+
+def _in_space(vectors: Array) -> Array:
+    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))

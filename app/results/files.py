@@ -1,0 +1,343 @@
+"""The files of a run in its folder: history, summary, fields, contact points, log.
+
+A file that others read is either absent, as it was, or complete, also when the process is killed: tables and
+indices are replaced in one act, and an index names a step's pieces only once every rank has written its own.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import math
+import platform
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from piezomat import __version__
+from piezomat.forms import fenicsx
+from piezomat.memory import peak_memory_mb
+from piezomat.results.atomic import on_all, on_root, replacing, temporary_name, write_text
+from piezomat.results.vtk import (
+    PIECE,
+    STATUS,
+    ContactPoints,
+    FieldPiece,
+    Grid,
+    IndexEntry,
+    ResultsError,
+    grid,
+    read_index,
+    write_index,
+)
+from piezomat.usage import Timer
+
+__all__ = [
+    "STATUS",
+    "SUMMARY_KEYS",
+    "ContactPoints",
+    "FieldPiece",
+    "Grid",
+    "Results",
+    "ResultsError",
+    "Timer",
+    "grid",
+    "peak_memory_mb",
+    "read_history",
+    "versions",
+]
+
+Value = float | int | str
+SUMMARY_KEYS = tuple(
+    "title converged reason ranks dofs cells bodies steps timings peak_memory_mb shares versions".split()
+)
+_FILES = (
+    "scene.toml",
+    "history.csv",
+    "pairs.csv",
+    "summary.json",
+    "fields.pvd",
+    "contact.pvd",
+    "picture.png",
+    "log.txt",
+)
+_PIECES = {"fields": "vtu", "contact": "vtp"}
+_CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)")
+_INTEGERS = {"step", "stage", "newton", "krylov", "cutbacks"}
+
+
+class Results:
+    """Writes the results of one run into the folder `out`.
+
+    Every method but `close` is collective over `comm`, and only rank 0 writes shared files. What goes wrong
+    on one rank (OSError: cannot write) is raised on all.
+    """
+
+    def __init__(self, out: Path, comm: MPI.Comm) -> None:
+        self.out = Path(out)
+        self.comm = comm
+        self.rows: list[dict[str, Value]] = []
+        self._columns: list[str] = []
+        self._log: logging.Handler | None = None
+
+    def __enter__(self) -> Results:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def start(self, scene_text: str, columns: Sequence[str]) -> None:
+        """Make the folder, remove an older run's files (nothing else), write scene.toml, open the log."""
+        self._columns, self.rows = list(columns), []
+
+        def begin() -> None:
+            self.out.mkdir(parents=True, exist_ok=True)
+            for name in _FILES:
+                (self.out / name).unlink(missing_ok=True)
+                temporary_name(self.out / name).unlink(missing_ok=True)
+            for folder in _PIECES:
+                _remove(self.out / folder, lambda name: PIECE.fullmatch(name) is not None)
+            _remove(self.out / "checkpoint", lambda name: _CHECKPOINT.fullmatch(name) is not None)
+            write_text(self.out / "scene.toml", scene_text)
+            self._write_history([])
+            self._open_log("w")
+
+        on_root(self.comm, begin)
+
+    def resume(self, columns: Sequence[str], last_step: int, rows: Sequence[Mapping[str, Value]] | None = None) -> None:
+        """Go on after `last_step`: what came before is kept, later rows and pieces are removed.
+
+        `rows` (a checkpoint's) take the place of those in history.csv, which then need not exist.
+        ResultsError: other columns than those given, or no row of `last_step`.
+        """
+        self._columns = list(columns)
+
+        def begin() -> list[dict[str, Value]]:
+            path = self.out / "history.csv"
+            if rows is not None:
+                known: Sequence[Mapping[str, Value]] = rows
+            else:
+                known = read_history(path) if last_step > 0 else []
+            kept = [dict(row) for row in known if int(row["step"]) <= last_step]
+            if last_step > 0 and (not kept or kept[-1]["step"] != last_step):
+                raise ResultsError(f"{path} has no row of step {last_step}, after which the run goes on")
+            for row in kept:
+                self._check(row)
+            for name in ("summary.json", "picture.png"):
+                (self.out / name).unlink(missing_ok=True)
+            if (self.out / "pairs.csv").exists():
+                write_text(self.out / "pairs.csv", _steps_before(self.out / "pairs.csv", last_step + 1))
+            self._write_history(kept)
+            for folder in _PIECES:
+                self._forget(folder, last_step)
+            self._open_log("a")
+            return kept
+
+        self.rows = on_root(self.comm, begin)
+
+    def row(self, values: Mapping[str, Value]) -> None:
+        """Append rank 0's row to history.csv, on disk on return; ResultsError: keys not the columns."""
+
+        def append() -> dict[str, Value]:
+            self._check(values)
+            row = {name: _plain(values[name]) for name in self._columns}
+            self._write_history([*self.rows, row])
+            return row
+
+        self.rows.append(on_root(self.comm, append))
+
+    def pairs(self, step: int, columns: Sequence[str], rows: Sequence[tuple[str, Sequence[float]]]) -> None:
+        """Append the pairs of bodies in contact at the end of a step, (name, values), to pairs.csv."""
+
+        def append() -> None:
+            path = self.out / "pairs.csv"
+            text = io.StringIO()
+            table = csv.writer(text, lineterminator="\n")
+            if not path.exists():
+                table.writerow(["step", "pair", *columns])
+            table.writerows([step, name, *(float(v) for v in values[: len(columns)])] for name, values in rows)
+            write_text(path, _steps_before(path, step) + text.getvalue())
+
+        on_root(self.comm, append)
+
+    def fields(self, step: int, stage_time: float, piece: FieldPiece) -> None:
+        """Write each rank's fields of a step, and name them in fields.pvd at the time `stage_time`."""
+        self._write_pieces("fields", step, stage_time, piece)
+
+    def contact(self, step: int, points: ContactPoints, stage_time: float | None = None) -> None:
+        """Write each rank's contact points of a step, and name them in contact.pvd (at `step` by default)."""
+        self._write_pieces("contact", step, step if stage_time is None else stage_time, points)
+
+    def summary(self, values: Mapping[str, Any]) -> None:
+        """Write summary.json with the keys `SUMMARY_KEYS`; a number that is not finite becomes null.
+
+        `ranks`, `steps`, `peak_memory_mb` and `versions` are known here; ValueError unless `values` has the
+        others and nothing else.
+        """
+        known = {
+            "ranks": self.comm.size,
+            "steps": self.rows,
+            "peak_memory_mb": peak_memory_mb(self.comm),
+            "versions": versions(),
+        }
+
+        def write() -> None:
+            content = known | dict(values)
+            wrong = sorted(set(content) ^ set(SUMMARY_KEYS))
+            if wrong:
+                raise ValueError(f"keys of the summary that are missing or unknown: {', '.join(wrong)}")
+            ordered = {key: _json(content[key]) for key in SUMMARY_KEYS}
+            text = json.dumps(ordered, indent=2, ensure_ascii=False, allow_nan=False)
+            write_text(self.out / "summary.json", text + "\n")
+
+        on_root(self.comm, write)
+
+    def close(self) -> None:
+        """Close the log file. Not collective."""
+        if self._log is not None:
+            logging.getLogger("piezomat").removeHandler(self._log)
+            self._log.close()
+            self._log = None
+
+    def _open_log(self, mode: str) -> None:
+        self.close()
+        self._log = logging.FileHandler(self.out / "log.txt", mode, encoding="utf-8")
+        self._log.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        logger = logging.getLogger("piezomat")
+        logger.addHandler(self._log)
+        if logger.level == logging.NOTSET:
+            logger.setLevel(logging.INFO)
+
+    def _check(self, row: Mapping[str, Value]) -> None:
+        wrong = sorted(set(row) ^ set(self._columns))
+        if wrong:
+            raise ResultsError(f"columns of the history that are missing or unknown: {', '.join(wrong)}")
+
+    def _write_history(self, rows: Sequence[Mapping[str, Value]]) -> None:
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(self._columns)
+        # csv writes a float by repr(), which reads back as the same number
+        table.writerows([row[name] for name in self._columns] for row in rows)
+        write_text(self.out / "history.csv", text.getvalue())
+
+    def _write_pieces(self, folder: str, step: int, time: float, piece: FieldPiece | ContactPoints) -> None:
+        # a rank that has nothing writes nothing; where no rank has anything, rank 0 writes an empty piece
+        sizes = self.comm.allgather(len(piece))
+        writers = [rank for rank, size in enumerate(sizes) if size] or [0]
+        names = {rank: f"{folder}/step_{step:04d}_rank_{rank:04d}.{_PIECES[folder]}" for rank in writers}
+        on_root(self.comm, lambda: (self.out / folder).mkdir(exist_ok=True))
+
+        def write() -> None:
+            if self.comm.rank in names:
+                with replacing(self.out / names[self.comm.rank]) as temporary:
+                    piece.vtk().save(temporary, binary=True)
+
+        on_all(self.comm, write)
+
+        def name() -> None:
+            index = self.out / f"{folder}.pvd"
+            entry = IndexEntry(step, float(time), tuple(Path(name) for name in names.values()))
+            write_index(index, [e for e in read_index(index) if e.step != step] + [entry])
+
+        on_root(self.comm, name)
+
+    def _forget(self, folder: str, last_step: int) -> None:
+        """Remove the pieces of later steps and the unfinished ones, the index first."""
+        index = self.out / f"{folder}.pvd"
+        if index.exists():
+            write_index(index, [entry for entry in read_index(index) if entry.step <= last_step])
+
+        def unwanted(name: str) -> bool:
+            match = PIECE.fullmatch(name)
+            return match is not None and (match["unfinished"] is not None or int(match["step"]) > last_step)
+
+        _remove(self.out / folder, unwanted)
+
+
+def _steps_before(path: Path, step: int) -> str:
+    """The text of a table whose first column is the step, up to a step; nothing where there is no table."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+    return "".join(line for line in lines if not line[0].isdigit() or int(line.split(",", 1)[0]) < step)
+
+
+def read_history(path: Path) -> list[dict[str, Value]]:
+    """Rows of a history.csv, numbers as numbers. ResultsError: it is absent or not a history."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        return [{name: _number(name, text) for name, text in row.items()} for row in rows]
+    except FileNotFoundError as error:
+        raise ResultsError(f"there is no {path}") from error
+    except (TypeError, ValueError) as error:
+        raise ResultsError(f"{path} is not a history: {error}") from error
+
+
+def versions() -> dict[str, str]:
+    """Versions of piezomat and of what its numbers rest on; what is not installed is left out."""
+    from petsc4py import PETSc
+
+    found = {
+        "piezomat": __version__,
+        "dolfinx": fenicsx.VERSION,
+        "petsc": ".".join(str(number) for number in PETSc.Sys.getVersion()),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "mpi": re.split("[,\n]", MPI.Get_library_version())[0].strip("\x00 "),
+    }
+    for name in ("gmsh", "mpi4py", "pyvista"):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            # a distribution's module may come without metadata
+            version = getattr(sys.modules.get(name), "__version__", None)
+            if version is not None:
+                found[name] = str(version)
+    return found
+
+
+def _remove(folder: Path, wanted: Callable[[str], bool]) -> None:
+    """Remove the files of a folder whose names are wanted, and the folder if nothing is left in it."""
+    if folder.is_dir():
+        for file in folder.iterdir():
+            if file.is_file() and wanted(file.name):
+                file.unlink()
+        if not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def _plain(value: Value) -> Value:
+    """The value with numpy's and boolean numbers as Python's own, whose repr is the number alone."""
+    if isinstance(value, (bool, np.bool_, np.integer)):
+        return int(value)
+    return float(value) if isinstance(value, np.floating) else value
+
+
+def _number(name: str, text: str | None) -> Value:
+    """The entry of a column as a number, if it is one."""
+    if text is None:
+        raise ValueError("a row is too short")
+    if name in _INTEGERS:
+        return int(text)
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _json(value: Any) -> Any:
+    """The value with numpy's numbers as Python's, and None for what is not finite (JSON has no nan)."""
+    if isinstance(value, Mapping):
+        return {str(key): _json(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_json(entry) for entry in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

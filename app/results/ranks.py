@@ -1,0 +1,35 @@
+"""What each rank holds: unknowns, contact points that it evaluates, memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mpi4py import MPI
+
+from piezomat.assembly.problem import Problem
+from piezomat.memory import peak_memory_mb
+
+
+def shares(problem: Problem) -> dict[str, list[int]]:
+    """`dofs`, `contact_points` near another body or a plane at the last pairing, and peak `memory_mb`. Collective.
+
+    A number a rank, each.
+    """
+    contact = problem.contact
+    here = {
+        "dofs": problem.model.owned * problem.model.block,
+        "contact_points": 0 if contact is None else sum(len(p.rows) for p in contact.every),
+        "memory_mb": round(peak_memory_mb(MPI.COMM_SELF)),
+    }
+    everywhere = problem.comm.allgather(here)
+    return {name: [rank[name] for rank in everywhere] for name in here}
+
+
+def described(held: Mapping[str, Sequence[int]]) -> str:
+    """Those shares in words, and how much more than the mean the fullest rank holds."""
+    words = []
+    for name, unit in (("dofs", "unknowns"), ("contact_points", "contact points"), ("memory_mb", "MB")):
+        values = held[name]
+        excess = max(values) * len(values) / max(sum(values), 1) - 1.0
+        words.append(f"{' '.join(map(str, values))} {unit} (at most {100.0 * excess:.0f} % over the mean)")
+    return "a rank: " + ", ".join(words)

@@ -1,0 +1,105 @@
+"""What a run needs to go on: written to a checkpoint at the end of a step, and taken up again on any ranks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Contact
+from piezomat.discretization.model import Model
+from piezomat.forms import fenicsx
+from piezomat.results import checkpoint
+from piezomat.results.quantities import Balance, augments
+from piezomat.solver.load_steps import Stepper
+
+Array = NDArray[np.float64]
+Points = dict[str, tuple[NDArray[np.int64], Array]]
+
+
+def save(
+    folder: Path, step: int, problem: Problem, stepper: Stepper, balance: Balance, history: list[dict[str, Any]]
+) -> None:
+    """Write the end of a step, problem and contact being evaluated there, to a folder of checkpoints. Collective.
+
+    Raises what `checkpoint.save` does.
+    """
+    model, contact = problem.model, problem.contact
+    ids = _node_ids(model)
+    nodal = {
+        "state": (ids, problem.state.array_r.reshape(-1, model.block)),
+        "forces": (ids, balance.forces.array_r.reshape(-1, model.block)),
+    }
+    scalars = {
+        "history": history,
+        "size": stepper.size,
+        "motion": stepper.last_motion,
+        "penetration": contact.last_penetration if contact is not None else 0.0,
+        "places": contact.places() if contact is not None else 0,
+        "external_work": balance.external_work,
+        "stabilization": balance.stabilization,
+    }
+    points = _points(contact, augmented=augments(model)) if contact is not None else {}
+    checkpoint.save(problem.comm, folder, step, nodal, points, scalars)
+
+
+def load(folder: Path, problem: Problem, stepper: Stepper, balance: Balance) -> tuple[int, list[dict[str, Any]]]:
+    """Take up the newest checkpoint of a folder; its step and the history so far. Collective.
+
+    State and contact are then as they were, but for what their evaluation gives. Raises what `checkpoint.load` does.
+    """
+    model, contact = problem.model, problem.contact
+    stored = checkpoint.load(problem.comm, folder)
+    ids = _node_ids(model)
+    problem.state.array[:] = stored.nodal("state", ids).ravel()
+    balance.forces.array[:] = stored.nodal("forces", ids).ravel()
+    balance.external_work = stored.scalars["external_work"]
+    balance.stabilization = stored.scalars["stabilization"]
+    stepper.size = stored.scalars["size"]
+    stepper.last_motion = stored.scalars["motion"]
+    if contact is not None:
+        _take_up(contact, stored, augmented=augments(model))
+    return stored.step, list(stored.scalars["history"])
+
+
+def _points(contact: Contact, *, augmented: bool) -> Points:
+    """What contact points remember, by their keys."""
+    known = [p.history.touched for p in contact.every]
+    keys = np.concatenate([p.keys()[k] for p, k in zip(contact.every, known, strict=True)])
+    opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.every, known, strict=True)])
+    points = {"opening": (keys, opening[:, None])}
+    if augmented:
+        shifts = [np.stack([p.shift.gap, p.shift.jump], axis=2).reshape(-1, 2) for p in contact.every]
+        points["shift"] = (np.concatenate([p.corner_keys() for p in contact.every]), np.concatenate(shifts))
+    if contact.cuts:
+        # Where pieces lie follows from states before this one.
+        points["place"] = (
+            np.concatenate([p.keys() for p in contact.passes]),
+            np.concatenate([p.points.xi for p in contact.passes]),
+        )
+    return points
+
+
+def _take_up(contact: Contact, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
+    contact.last_penetration = stored.scalars["penetration"]
+    for p in contact.passes:
+        if p.segments:
+            every = p.every_key(stored.scalars["places"])
+            p.recover(*stored.points("place", every), stored.scalars["places"])
+    for p in contact.every:
+        values, found = stored.points("opening", p.keys())
+        p.history.touched[:] = found
+        p.history.opening[:] = np.where(found, values[:, 0], 0.0)
+        if augmented:
+            values, _ = stored.points("shift", p.corner_keys())
+            p.shift.gap[:], p.shift.jump[:] = values.T.reshape(2, *p.shift.gap.shape)
+
+
+def _node_ids(model: Model) -> NDArray[np.int64]:
+    """Numbers of the owned nodes in the mesh file."""
+    ids = np.zeros(model.owned + model.space.dofmap.index_map.num_ghosts, np.int64)
+    ids[fenicsx.dofmap(model.space)] = fenicsx.node_ids(model.mesh)[fenicsx.geometry_dofmap(model.mesh)]
+    return ids[: model.owned]

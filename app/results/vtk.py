@@ -1,0 +1,171 @@
+"""What one rank writes of a step, as VTK takes it, and the .pvd index that names the files of all."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.forms import fenicsx
+from piezomat.results.atomic import write_text
+
+STATUS = ("apart", "touching", "bonded", "broken")
+# the file of one rank and one step; a leading dot and ".part" while it is being written
+PIECE = re.compile(r"\.?step_(?P<step>\d{4,})_rank_(?P<rank>\d{4,})(?P<unfinished>\.part)?\.vt[up]")
+
+# VTK's cell type of each (dolfinx cell, number of nodes)
+_VTK_CELLS = {
+    ("triangle", 3): 5,
+    ("triangle", 6): 22,
+    ("quadrilateral", 4): 9,
+    ("quadrilateral", 9): 28,
+    ("tetrahedron", 4): 10,
+    ("tetrahedron", 10): 24,
+    ("hexahedron", 8): 12,
+    ("hexahedron", 27): 29,
+}
+
+
+class ResultsError(ValueError):
+    """The folder holds no results, or results that do not fit; the message says what."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """This rank's cells: points (n, 3) um, cells (m, nodes) in VTK's order of nodes, one VTK cell type."""
+
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    cell_type: int
+
+
+def grid(mesh: Any) -> Grid:
+    """This rank's cells of a dolfinx mesh; its points are the geometry's nodes, in their local order."""
+    cell_type, nodes = fenicsx.cell_name(mesh), fenicsx.nodes_per_cell(mesh)
+    points = np.array(mesh.geometry.x, float).reshape(-1, 3)
+    cells = np.empty((0, nodes), np.int64)
+    if len(points):
+        order = fenicsx.vtk_permutation(cell_type, nodes)
+        cells = fenicsx.geometry_dofmap(mesh)[:, order].astype(np.int64)
+    return Grid(points, cells, _VTK_CELLS[cell_type, nodes])
+
+
+@dataclass(frozen=True)
+class FieldPiece:
+    """Fields of this rank's cells; the electric ones are None where there is no potential.
+
+    At the grid's points: displacement (n, 3) um, potential (n,) V. In its cells: stress (m, 6) MPa in the
+    order 11 22 33 23 13 12; body (m,), its number; electric_field (m, 3) V/um; electric_displacement (m, 3)
+    pC/um2.
+    """
+
+    grid: Grid
+    displacement: NDArray[np.float64]
+    stress: NDArray[np.float64]
+    body: NDArray[np.integer]
+    potential: NDArray[np.float64] | None = None
+    electric_field: NDArray[np.float64] | None = None
+    electric_displacement: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.grid.cells)
+
+    def vtk(self) -> Any:
+        """The piece as a pyvista UnstructuredGrid; ValueError where an array's length is wrong."""
+        import pyvista
+
+        cells, nodes = self.grid.cells.shape
+        padded = np.column_stack([np.full(cells, nodes), self.grid.cells]).ravel()
+        types = np.full(cells, self.grid.cell_type, np.uint8)
+        data = pyvista.UnstructuredGrid(padded, types, self.grid.points)
+        _attach(data.point_data, len(self.grid.points), self, ("displacement", "potential"))
+        in_cells = ("stress", "electric_field", "electric_displacement", "body")
+        _attach(data.cell_data, cells, self, in_cells)
+        return data
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """Contact points of this rank.
+
+    position (n, 3) now, um; normal (n, 3) of the surface met; gap (n,) um; pressure (n,) MPa, negative where
+    adhesion pulls; status (n,), place in `STATUS`; pair (n,), number of the contact pair; potential_jump (n,)
+    V, None where there is no potential.
+    """
+
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    gap: NDArray[np.float64]
+    pressure: NDArray[np.float64]
+    status: NDArray[np.integer]
+    pair: NDArray[np.integer]
+    potential_jump: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def vtk(self) -> Any:
+        """The points as a pyvista PolyData; ValueError where an array's length is wrong."""
+        import pyvista
+
+        data = pyvista.PolyData(np.asarray(self.position, float)) if len(self) else pyvista.PolyData()
+        names = ("normal", "gap", "pressure", "potential_jump", "status", "pair")
+        _attach(data.point_data, len(self), self, names)
+        return data
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """A step in a .pvd index: its number, its time, its files relative to the index."""
+
+    step: int
+    time: float
+    files: tuple[Path, ...]
+
+
+def read_index(path: Path) -> list[IndexEntry]:
+    """The steps named in a .pvd index, in order; none where it does not exist. ResultsError: unreadable."""
+    if not path.exists():
+        return []
+    found: dict[int, tuple[float, list[Path]]] = {}
+    try:
+        for data in ET.parse(path).getroot().iter("DataSet"):
+            file = Path(data.attrib["file"])
+            match = PIECE.fullmatch(file.name)
+            if match is None:
+                raise ValueError(f"it names a file {file}")
+            found.setdefault(int(match["step"]), (float(data.attrib["timestep"]), []))[1].append(file)
+    except (ET.ParseError, KeyError, ValueError) as error:
+        raise ResultsError(f"{path} is not an index of results: {error}") from error
+    return [IndexEntry(step, time, tuple(files)) for step, (time, files) in sorted(found.items())]
+
+
+def write_index(path: Path, entries: Sequence[IndexEntry]) -> None:
+    """Write a .pvd index of the steps, as a whole or not at all."""
+    root = ET.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")
+    collection = ET.SubElement(root, "Collection")
+    for entry in sorted(entries, key=lambda entry: entry.step):
+        for part, file in enumerate(entry.files):
+            place = {"timestep": repr(entry.time), "group": "", "part": str(part), "file": file.as_posix()}
+            ET.SubElement(collection, "DataSet", place)
+    ET.indent(root)
+    write_text(path, '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n")
+
+
+def _attach(data: Any, length: int, source: object, names: Sequence[str]) -> None:
+    """Put those attributes of `source` that are not None into VTK's data; ValueError if a length is wrong."""
+    for name in names:
+        values = getattr(source, name)
+        if values is None:
+            continue
+        values = np.asarray(values)
+        if len(values) != length:
+            raise ValueError(f"{name} has {len(values)} values where {length} are needed")
+        if length:
+            data[name] = values.astype(np.int32 if values.dtype.kind in "iub" else float)

@@ -1,0 +1,174 @@
+"""Checks that need more than one section of a scene. Each raises SceneError with the full path of the key."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+from piezomat.forms.materials import BUILT_IN
+from piezomat.meshes.gmsh_io.mesh_file import MeshFile
+from piezomat.scene.errors import SceneError, named, shown, unknown_name
+from piezomat.scene.sections import SIDES
+
+if TYPE_CHECKING:
+    from piezomat.scene.scene import Scene
+    from piezomat.scene.sections import Boundary
+
+OVERLAP = 0.1  # of the size of the smallest body, at the start
+
+
+def key_of(body: str, keys: Iterable[str]) -> str | None:
+    """The key that stands for a body: its name, or else the first pattern that fits it; None for none."""
+    keys = list(keys)
+    return body if body in keys else next((key for key in keys if "*" in key and fnmatchcase(body, key)), None)
+
+
+def bodies(scene: Scene) -> None:
+    """Every body of the geometry has a material that exists, and every key is a body or fits one."""
+    known = scene.body_names
+    for body, material in scene.bodies.items():
+        if body not in known and not ("*" in body and any(fnmatchcase(name, body) for name in known)):
+            raise unknown_name(f"bodies.{body}", body, "a body of the geometry, or a pattern", known)
+        if material not in scene.materials and material not in BUILT_IN:
+            names = list(dict.fromkeys([*scene.materials, *BUILT_IN]))
+            raise unknown_name(f"bodies.{body}", material, "a material of the scene or a built-in one", names)
+    for body in known:
+        if key_of(body, scene.bodies) is None:
+            raise SceneError(f"bodies.{body}", "nothing", "a material of the scene or a built-in one for every body")
+
+
+def mesh(scene: Scene) -> None:
+    """Built shapes have a size of elements unless their cells are counted; factors belong to bodies."""
+    counted = isinstance(scene.geometry, MeshFile) or getattr(scene.geometry, "divisions", None) is not None
+    if scene.mesh.size is None and not counted:
+        raise SceneError("mesh.size", "nothing", "a number > 0: the size of elements far from contact, um")
+    for body in scene.mesh.size_factors:
+        if body not in scene.body_names:
+            raise unknown_name(f"mesh.size_factors.{body}", body, "a body of the geometry", scene.body_names)
+    if scene.dimension == 3 and scene.model.plane == "stress":
+        raise SceneError("model.plane", '"stress"', 'nothing but "strain" in three dimensions')
+
+
+def gap(scene: Scene) -> None:
+    """The bodies of a built shape do not overlap from the start by more than a tenth of the smallest one."""
+    given = getattr(scene.geometry, "gap", 0.0)
+    if given < 0 and -given > OVERLAP * scene.geometry.size():
+        least = -OVERLAP * scene.geometry.size()
+        allowed = f"a number >= {least:g}: bodies may overlap by a tenth of their size"
+        raise SceneError("geometry.gap", given, allowed)
+
+
+def orientations(scene: Scene) -> None:
+    """Axes of materials have as many components as the scene allows and are not parallel."""
+    for name, keys in scene.materials.items():
+        for key in ("poling", "axis1"):
+            direction = getattr(keys, key)
+            if direction is not None and len(direction) < scene.dimension:
+                raise SceneError(f"materials.{name}.{key}", direction, "3 numbers: the scene is three-dimensional")
+        if keys.axis1 is not None:
+            try:
+                scene.oriented(name)
+            except ValueError:
+                allowed = f"a direction that is not parallel to poling = {scene.poling(name)}"
+                raise SceneError(f"materials.{name}.axis1", keys.axis1, allowed) from None
+
+
+def boundaries(scene: Scene) -> None:
+    """Rows are on facet groups, with a component a dimension and a factor that exists; no two give the same thing."""
+    given: dict[tuple[str, str], int] = {}
+    for index, row in enumerate(scene.boundaries):
+        key = f"boundaries[{index}]"
+        if row.on not in scene.facet_groups:
+            raise unknown_name(f"{key}.on", row.on, "a facet group of the geometry", scene.facet_groups)
+        for name in ("displacement", "traction"):
+            vector = getattr(row, name)
+            if vector is not None and len(vector) != scene.dimension:
+                found = ["free" if value is None else value for value in vector]
+                raise SceneError(f"{key}.{name}", found, f"{scene.dimension} components, one a dimension")
+        for name in ("potential", "charge_density"):
+            if getattr(row, name) is not None and not scene.electric:
+                allowed = "nothing, unless the material of a body has a permittivity"
+                raise SceneError(f"{key}.{name}", getattr(row, name), allowed)
+        for what in _prescribed(row):
+            if (row.on, what) in given:
+                first = given[row.on, what]
+                allowed = f'what boundaries[{first}] does not give on "{row.on}" already'
+                raise SceneError(f"{key}.{what.partition(' ')[0]}", f"the {what} again", allowed)
+            given[row.on, what] = index
+        if row.follows is not None and row.follows not in scene.load.factors:
+            raise unknown_name(f"{key}.follows", row.follows, "a factor of load.factors", list(scene.load.factors))
+
+
+def planes(scene: Scene) -> None:
+    """Planes have names of their own, a component a dimension and factors that exist; something holds the bodies."""
+    if not scene.boundaries and not scene.planes:
+        raise SceneError("boundaries", "nothing", "at least one of [[boundaries]] or [[planes]]")
+    names: dict[str, int] = {}
+    for index, plane in enumerate(scene.planes):
+        key = f"planes[{index}]"
+        if plane.name in names:
+            allowed = f"a name of its own: it is that of planes[{names[plane.name]}]"
+            raise SceneError(f"{key}.name", shown(plane.name), allowed)
+        if plane.name in scene.facet_groups or plane.name in scene.body_names:
+            raise SceneError(f"{key}.name", shown(plane.name), "a name that no facet group and no body has")
+        names[plane.name] = index
+        if isinstance(plane.point, str) and plane.point not in SIDES[scene.dimension]:
+            allowed = f"{named(list(SIDES[scene.dimension]))} in two dimensions, or a point"
+            raise SceneError(f"{key}.point", shown(plane.point), allowed)
+        for name in ("point", "normal", "motion"):
+            vector = getattr(plane, name)
+            if isinstance(vector, list) and len(vector) != scene.dimension:
+                raise SceneError(f"{key}.{name}", vector, f"{scene.dimension} components, one a dimension")
+        if plane.potential is not None and not scene.electric:
+            allowed = "nothing, unless the material of a body has a permittivity"
+            raise SceneError(f"{key}.potential", plane.potential, allowed)
+        for name in ("follows", "potential_follows"):
+            factor = getattr(plane, name)
+            if factor is not None and factor not in scene.load.factors:
+                raise unknown_name(f"{key}.{name}", factor, "a factor of load.factors", list(scene.load.factors))
+
+
+def _prescribed(row: Boundary) -> list[str]:
+    """What a row fixes, in words that start with the key."""
+    components = [f"displacement {'xyz'[i]}" for i, value in enumerate(row.displacement or []) if value is not None]
+    return components + (["potential"] if row.potential is not None else [])
+
+
+def contact(scene: Scene) -> None:
+    """Pairs name two different bodies or groups of facets, each pair once; what can be smoothed is smoothed alone."""
+    if scene.contact is None:
+        return
+    if scene.contact.smoothing and scene.mesh.order == 2:
+        raise SceneError("contact.smoothing", "true", "false with mesh.order = 2, whose facets are curved")
+    if scene.contact.smoothing and scene.dimension == 3 and scene.model.kinematics == "finite":
+        allowed = 'false, or model.kinematics = "small": in three dimensions curved facets do not turn with the bodies'
+        raise SceneError("contact.smoothing", "true", allowed)
+    pairs = scene.contact.pairs
+    if pairs == "auto":
+        if len(scene.body_names) < 2 and not scene.planes and not scene.contact.self_contact:
+            allowed = 'two bodies, or [["slave", "master"], ...], or self_contact = true'
+            raise SceneError("contact.pairs", '"auto" with one body', allowed)
+        return
+    known = list(dict.fromkeys([*scene.body_names, *scene.facet_groups]))
+    seen: dict[frozenset[str], int] = {}
+    for index, pair in enumerate(pairs):
+        key = f"contact.pairs[{index}]"
+        for side, name in enumerate(pair):
+            if name not in known:
+                raise unknown_name(f"{key}[{side}]", name, "a body or facet group of the geometry", known)
+        if pair[0] == pair[1]:
+            raise SceneError(key, pair, "two different bodies or facet groups")
+        if frozenset(pair) in seen:
+            raise SceneError(key, pair, f"each pair once: it is contact.pairs[{seen[frozenset(pair)]}] already")
+        seen[frozenset(pair)] = index
+
+
+def load(scene: Scene) -> None:
+    """Every load factor is followed."""
+    followed = {row.follows for row in scene.boundaries}
+    followed |= {factor for plane in scene.planes for factor in (plane.follows, plane.potential_follows)}
+    for name in scene.load.factors:
+        if name not in followed:
+            allowed = f"only factors that a boundary or plane follows ({named(sorted(filter(None, followed)))})"
+            raise SceneError(f"load.factors.{name}", "a factor that nothing follows", allowed)

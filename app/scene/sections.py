@@ -1,0 +1,358 @@
+"""The sections of a scene file, one model each, with what can be checked inside a section.
+
+Units: um, uN, MPa, V, pC, pJ. Unknown keys, strings or booleans for numbers, inf and nan are refused.
+What needs more than one section (names of bodies, the dimension) is checked by `piezomat.scene.scene`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    WithJsonSchema,
+    model_validator,
+)
+
+from piezomat.forms.materials import BUILT_IN, Material, permittivity_matrix, piezo_matrix
+from piezomat.scene.errors import SceneError, named, shown, unknown_name
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Vector6 = Annotated[list[float], Field(min_length=6, max_length=6)]
+Direction = Annotated[list[float], Field(min_length=2, max_length=3)]
+Name = Annotated[str, Field(min_length=1)]
+
+# Literal[1, 2] alone takes 1.0 and true too; what is no integer is handed on as None, which no Literal takes.
+OneOrTwo = Annotated[Literal[1, 2], BeforeValidator(lambda value: value if type(value) is int else None)]
+
+Component = Annotated[
+    float | None,
+    BeforeValidator(lambda value: None if value == "free" else value),
+    PlainSerializer(lambda value: "free" if value is None else value),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"const": "free"}]}),
+]
+
+
+class Keys(BaseModel):
+    """A table of the scene file: exactly the known keys, exactly their types, finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class MeshKeys(Keys):
+    """[mesh]: sizes (without effect on mesh files and where a shape has divisions) and kind of elements."""
+
+    size: Positive | None = Field(None, description="size of elements far from contact, um; required for built shapes")
+    contact_size: Positive | None = Field(
+        default_factory=lambda given: given["size"] / 4 if given.get("size") else None,
+        description="size of elements where bodies meet, um; default: a quarter of size",
+    )
+    order: OneOrTwo = Field(1, description="order of displacement, potential and geometry")
+    cells: Literal["simplex", "tensor"] = Field("simplex", description="tensor: quadrilaterals or bricks")
+    size_factors: dict[str, Positive] = Field({}, description="body = factor on its sizes of elements")
+
+    @model_validator(mode="after")
+    def _refined(self) -> Self:
+        if self.size and self.contact_size and self.contact_size > self.size:
+            raise SceneError("contact_size", self.contact_size, f"a number > 0 and <= mesh.size = {self.size:g}")
+        return self
+
+
+class ModelKeys(Keys):
+    """[model]: the mechanics."""
+
+    plane: Literal["strain", "stress"] = Field("strain", description="2D only")
+    kinematics: Literal["small", "finite"] = Field(
+        "small", description="finite: Green-Lagrange strain, referential field"
+    )
+
+
+class PiezoKeys(Keys):
+    """Piezoelectric stress constants by name, pC/um2."""
+
+    e31: float
+    e32: float
+    e33: float
+    e15: float = 0.0
+    e24: float = 0.0
+
+
+class MaterialKeys(Keys):
+    """[materials.NAME]: a material of the scene, from nothing or from a built-in one."""
+
+    like: str | None = Field(None, description=f"built-in material to start from: {named(list(BUILT_IN))}")
+    young: Positive | None = Field(None, description="Young's modulus, MPa")
+    poisson: Annotated[float, Field(gt=-1, lt=0.5)] | None = Field(None, description="Poisson's ratio")
+    stiffness: Annotated[list[Vector6], Field(min_length=6, max_length=6)] | None = Field(
+        None, description="6x6 at constant field, MPa, Voigt order 11 22 33 23 13 12"
+    )
+    piezo: PiezoKeys | Annotated[list[Vector6], Field(min_length=3, max_length=3)] | None = Field(
+        None, description="constants by name or 3x6, pC/um2; absent: not piezoelectric"
+    )
+    permittivity: Positive | Vector3 | Annotated[list[Vector3], Field(min_length=3, max_length=3)] | None = Field(
+        None,
+        description="at constant strain, pC/(V um): number, 3 or 3x3; absent: no potential in the body",
+    )
+    poling: Direction | None = Field(
+        None,
+        description="direction of material axis 3; default where piezoelectric: up (y in 2D, z in 3D)",
+    )
+    axis1: Direction | None = Field(None, description="direction of material axis 1, made perpendicular to poling")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.like is not None and self.like not in BUILT_IN:
+            raise unknown_name("like", self.like, "a built-in material", list(BUILT_IN))
+        if self.stiffness is not None and (self.young is not None or self.poisson is not None):
+            raise SceneError(
+                "stiffness", "both stiffness and young or poisson", "either stiffness or young and poisson"
+            )
+        if self.like is None and self.stiffness is None:
+            for key, other in (("young", "poisson"), ("poisson", "young")):
+                if getattr(self, key) is None:
+                    what = f"no {key}, though {other} is given" if getattr(self, other) is not None else "no elasticity"
+                    raise SceneError(key, what, "young and poisson, or stiffness, or like = a built-in material")
+        for key in ("poling", "axis1"):
+            vector = getattr(self, key)
+            if vector is not None and not any(vector):
+                raise SceneError(key, vector, "a direction: not the zero vector")
+        self.unrotated()
+        return self
+
+    def unrotated(self) -> Material:
+        """The material in its own axes. Raises SceneError for constants that no stable material has."""
+        base = BUILT_IN[self.like] if self.like is not None else None
+        piezo = base.piezo if base is not None else np.zeros((3, 6))
+        if self.piezo is not None:
+            by_name = isinstance(self.piezo, PiezoKeys)
+            piezo = piezo_matrix(self.piezo.model_dump()) if by_name else np.array(self.piezo, float)
+        permittivity = base.permittivity if base is not None else None
+        if self.permittivity is not None:
+            permittivity = permittivity_matrix(self.permittivity)
+        if permittivity is None and self.piezo is not None:
+            raise SceneError("permittivity", "none, though piezo is given", "a permittivity wherever there is piezo")
+        source = f"the scene, from {self.like}" if base is not None else "the scene"
+        material = Material(self._stiffness(base), piezo, permittivity, source)
+        try:
+            material.check()
+        except ValueError as error:
+            part, _, reason = str(error).partition(" ")
+            raise SceneError(part, f"a matrix that {reason}", "a symmetric positive definite matrix") from None
+        return material
+
+    def _stiffness(self, base: Material | None) -> NDArray[np.float64]:
+        """The stiffness as given, or of young and poisson, one of which an isotropic `base` may give."""
+        if self.stiffness is not None:
+            return np.array(self.stiffness, float)
+        if self.young is not None and self.poisson is not None:
+            return Material.isotropic(self.young, self.poisson).stiffness
+        if self.young is None and self.poisson is None:
+            return base.stiffness
+        ratio = base.stiffness[0, 1] / (base.stiffness[0, 0] + base.stiffness[0, 1])
+        modulus = 2 * (1 + ratio) * base.stiffness[5, 5]
+        if not np.allclose(Material.isotropic(modulus, ratio).stiffness, base.stiffness, rtol=1e-10):
+            missing = "poisson" if self.poisson is None else "young"
+            raise SceneError(missing, f"none, and {self.like} is not isotropic", "young and poisson together")
+        return Material.isotropic(self.young or modulus, ratio if self.poisson is None else self.poisson).stiffness
+
+
+class Boundary(Keys):
+    """[[boundaries]]: what is prescribed on a group of facets."""
+
+    on: Name = Field(description="facet group")
+    displacement: Annotated[list[Component], Field(min_length=2, max_length=3)] | None = Field(
+        None, description='um, one a dimension; "free" leaves a component free'
+    )
+    potential: float | None = Field(None, description="V")
+    traction: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(
+        None, description="MPa per reference area, one a dimension"
+    )
+    pressure: float | None = Field(None, description="MPa, pushing inward")
+    charge_density: float | None = Field(None, description="pC/um2 of free charge")
+    follows: Name | None = Field(None, description="load factor on the values of this row; absent: constant")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        conditions = ("displacement", "potential", "traction", "pressure", "charge_density")
+        fixed = [value is not None for value in self.displacement or []]
+        others = [key for key in conditions[1:] if getattr(self, key) is not None]
+        if not any(fixed) and not others:
+            raise SceneError("", "no condition", f"at least one of {named(conditions)}")
+        if self.potential is not None and self.charge_density is not None:
+            raise SceneError(
+                "charge_density", "both potential and charge_density", "either potential or charge_density"
+            )
+        for axis, (held, load) in enumerate(zip(fixed, self.traction or [], strict=False)):
+            if held and load:
+                allowed = f'0 where displacement[{axis}] is a number, or displacement[{axis}] = "free"'
+                raise SceneError(f"traction[{axis}]", load, allowed)
+        if fixed and all(fixed) and self.pressure is not None:
+            raise SceneError(
+                "pressure",
+                "a pressure where every displacement is prescribed",
+                'a "free" displacement component',
+            )
+        return self
+
+
+Side = Literal["bottom", "top", "left", "right", "front", "back"]
+# Axis and end of each side of the box around the bodies, by dimension; its plane's normal points inward.
+SIDES: dict[int, dict[str, tuple[int, int]]] = {
+    2: {"left": (0, 0), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)},
+    3: {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)},
+}
+
+
+class Plane(Keys):
+    """[[planes]]: a rigid plane without a mesh, which all bodies meet: platen, wall, electrode."""
+
+    name: Name = Field(description="names its columns of the history")
+    point: Side | Annotated[list[float], Field(min_length=2, max_length=3)] = Field(
+        description="um, or the side of the box around the bodies that the plane lies on"
+    )
+    normal: Direction | None = Field(None, description="to the side where the bodies are; default of a side: inward")
+    motion: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(None, description="um")
+    follows: Name | None = Field(None, description="load factor on the motion; absent: moved from the start")
+    potential: float | None = Field(None, description="V, of an electrode; absent: an insulator")
+    potential_follows: Name | None = Field(None, description="load factor on the potential; absent: constant")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.normal is None and not isinstance(self.point, str):
+            raise SceneError("normal", "nothing", "a direction, to the side where the bodies are")
+        if self.normal is not None and not any(self.normal):
+            raise SceneError("normal", self.normal, "a direction: not the zero vector")
+        for key, what in (("follows", "motion"), ("potential_follows", "potential")):
+            if getattr(self, key) is not None and getattr(self, what) is None:
+                raise SceneError(key, shown(getattr(self, key)), f"nothing without {what}")
+        return self
+
+
+class Adhesion(Keys):
+    """[contact.adhesion]: tension that the contact carries; absent: none."""
+
+    law: Literal["cutoff", "bilinear", "lennard_jones"]
+    strength: Positive = Field(description="largest tension, MPa")
+    energy: Positive | None = Field(None, description="work of separation, pJ/um2")
+    range: Positive | None = Field(None, description="um, for law cutoff instead of energy")
+    starts: Literal["touch", "always"] = Field(
+        default_factory=lambda given: "always" if given.get("law") == "lennard_jones" else "touch",
+        description='touch: sticks once pressed together; default "touch", and "always" for law lennard_jones',
+    )
+
+    @model_validator(mode="after")
+    def _one_work(self) -> Self:
+        if self.law != "cutoff" and self.range is not None:
+            raise SceneError("range", self.range, f'energy for law "{self.law}"; range belongs to law "cutoff"')
+        if self.law == "lennard_jones" and self.starts == "touch":
+            raise SceneError("starts", '"touch"', '"always": law "lennard_jones" attracts whatever comes near')
+        if self.energy is None and self.range is None:
+            allowed = "energy or range, a number > 0" if self.law == "cutoff" else "a number > 0"
+            raise SceneError("energy", "nothing", allowed)
+        if self.energy is not None and self.range is not None:
+            raise SceneError("range", "both energy and range", "exactly one of energy and range")
+        return self
+
+
+def _factor(penalty: str, default: float) -> Any:
+    """Default of a penalty's factor, unless the penalty itself is given."""
+    return lambda given: default if given.get(penalty) is None else None
+
+
+class Contact(Keys):
+    """[contact]: which surfaces meet and how that is integrated; absent: none."""
+
+    pairs: Literal["auto"] | list[Annotated[list[Name], Field(min_length=2, max_length=2)]] = Field(
+        "auto",
+        description='every two bodies that can meet, or [["slave", "master"], ...] of facet groups or bodies',
+    )
+    method: Literal["node", "point", "segment"] = Field(
+        "point",
+        description="node-to-surface, quadrature points on the slave, or on slave facets cut along master edges",
+    )
+    self_contact: bool = Field(
+        False, description='pairs "auto" only: bodies also meet themselves, and others that they share nodes with'
+    )
+    passes: OneOrTwo = Field(2, description="2: both ways, half each")
+    normal_penalty: Positive | None = Field(None, description="MPa/um per area")
+    normal_penalty_factor: Positive | None = Field(
+        default_factory=_factor("normal_penalty", 10.0),
+        description="times stiffness / facet size; default 10 without normal_penalty",
+    )
+    electric_penalty: Positive | None = Field(None, description="pC/(V um2)")
+    electric_penalty_factor: Positive | None = Field(
+        default_factory=_factor("electric_penalty", 10.0),
+        description="times permittivity / facet size; default 10 without electric_penalty",
+    )
+    augment: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="gap (in facet sizes) and potential jump (in the potential's range) that augmentation may leave; "
+        "absent: what the penalties leave",
+    )
+    smoothing: bool = Field(
+        False,
+        description="facets of order 1 curved between their nodes, with a continuous normal; edges sharper than 50 "
+        "degrees stay",
+    )
+    nodal_weight: Literal["area", "unit"] | None = Field(
+        default_factory=lambda given: "area" if given.get("method") == "node" else None,
+        description="method node only; unit: one spring per node with no area; default area",
+    )
+    electric_range: Positive | None = Field(
+        None, description="gap over which the electric contact fades out, um; absent: chosen, see plan"
+    )
+    adhesion: Adhesion | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for key in ("normal_penalty", "electric_penalty"):
+            if getattr(self, key) is not None and getattr(self, f"{key}_factor") is not None:
+                raise SceneError(key, f"both {key} and {key}_factor", f"either {key} or {key}_factor")
+        if self.nodal_weight is not None and self.method != "node":
+            raise SceneError("nodal_weight", shown(self.nodal_weight), 'nothing unless method = "node"')
+        if self.augment is not None and self.adhesion is not None and self.adhesion.law == "lennard_jones":
+            raise SceneError("augment", self.augment, 'nothing with law "lennard_jones"')
+        if self.self_contact and self.pairs != "auto":
+            raise SceneError("self_contact", "true", 'false, or pairs = "auto"')
+        if self.pairs == []:
+            raise SceneError("pairs", self.pairs, '"auto" or at least one ["slave", "master"]')
+        return self
+
+
+class Load(Keys):
+    """[load]: stages, the increments of each, and the factors that rows of the boundaries follow."""
+
+    steps: Annotated[list[Count], Field(min_length=1)] = Field([1], description="increments of each stage")
+    factors: dict[Name, list[float]] = Field({}, description="value at the end of each stage; 0 at the start")
+
+    @model_validator(mode="after")
+    def _a_value_a_stage(self) -> Self:
+        for name, values in self.factors.items():
+            if len(values) != len(self.steps):
+                raise SceneError(f"factors.{name}", values, f"{len(self.steps)} number(s), one a stage of load.steps")
+        return self
+
+
+class Solver(Keys):
+    """[solver]: optional; the defaults suit nearly every scene."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1e-2)] = Field(1e-8, description="of the residual, relative")
+    max_iterations: Count = Field(25, description="Newton iterations of a step before it is cut")
+    max_cutbacks: Annotated[int, Field(ge=0)] = Field(8, description="times that a step is halved before giving up")
+    kind: Literal["auto", "direct", "iterative"] = Field("auto", description="linear solver")
+    petsc: dict[Name, str | bool | int | float] = Field({}, description="PETSc options, passed on as they are")
+
+
+class Output(Keys):
+    """[output]: what is written beside history and summary."""
+
+    fields: Literal["none", "end", "all"] = "end"
+    picture: bool = True

@@ -1,0 +1,95 @@
+"""Two-level multigrid for the displacements of bodies that only contact holds: the coarse space is boxes of each body.
+
+Algebraic multigrid takes nodes of two bodies that touch for one aggregate, and then cannot tell that the bodies slide
+on each other, which without friction costs nothing. Here an aggregate is those nodes of a body that lie in one box of a
+lattice. The coarse functions are its rigid motions, smoothed by the stiffness of the bodies alone (Vanek, Mandel and
+Brezina, Computing 56 (1996) 179-196); contact enters through the coarse matrix, which is factorized.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from piezomat.discretization.model import Model, rigid_modes
+
+Array = NDArray[np.float64]
+
+NODES = 150.0  # in a box that a body fills; half as many or twice as many cost the same
+RELAXATION = 4.0 / 3.0  # over the largest eigenvalue of D^-1 A
+POWER_ITERATIONS, SAFETY = 12, 1.1  # how that eigenvalue is found, and by how much it may be larger
+TINY = np.finfo(float).tiny
+DEPENDENT = 1e-6  # a motion is left out of which the others leave less than this share
+
+
+def options(*, symmetric: bool) -> dict[str, Any]:
+    """PETSc options of a multigrid whose interpolation is still to be set, and its smoother to be chosen."""
+    factorization = "cholesky" if symmetric else "lu"
+    coarse = {"ksp_type": "preonly", "pc_type": factorization, "pc_factor_mat_solver_type": "mumps"}
+    multigrid = {"pc_type": "mg", "pc_mg_levels": 2, "pc_mg_galerkin": "both", "mg_levels_ksp_type": "chebyshev"}
+    return multigrid | {f"mg_coarse_{name}": value for name, value in coarse.items()}
+
+
+def interpolation(model: Model, stiffness: PETSc.Mat) -> PETSc.Mat:
+    """What nodes do if boxes of their body move, (displacements, coarse unknowns). Collective.
+
+    stiffness: of the displacements, without contact, its fixed unknowns eliminated.
+    """
+    motions = _motions(model)
+    inverse = stiffness.getDiagonal()
+    inverse.reciprocal()
+    smoothed = stiffness.matMult(motions)
+    smoothed.diagonalScale(L=inverse)
+    smoothed.scale(-RELAXATION / _largest_eigenvalue(stiffness, inverse))
+    smoothed.axpy(1.0, motions)
+    motions.destroy()
+    return smoothed
+
+
+def _boxes(model: Model) -> list[NDArray[np.int64]]:
+    """The nodes of this rank in each box of each part of the model."""
+    x, part = model.coordinates[: model.owned], model.node_part[: model.owned]
+    edge = (NODES * model.volume * model.block / model.unknowns) ** (1.0 / model.dim)
+    keys = np.column_stack([part, np.floor(x / edge).astype(np.int64)])
+    _, box, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    return np.split(np.argsort(box.ravel(), kind="stable"), np.cumsum(count))[:-1]
+
+
+def _motions(model: Model) -> PETSc.Mat:
+    """Orthonormal rigid motions of the boxes at the nodes, nothing where a displacement is fixed."""
+    d, n = model.dim, model.owned
+    free = np.ones(n * model.block)
+    free[model.fixed] = 0.0
+    free = free.reshape(n, model.block)[:, :d, None]
+    rows, columns, values, count = [], [], [], 0
+    for nodes in _boxes(model):
+        away = model.coordinates[nodes] - model.coordinates[nodes].mean(axis=0)
+        modes = free[nodes] * rigid_modes(away / max(np.abs(away).max(), TINY))
+        basis, size, _ = np.linalg.svd(modes.reshape(len(nodes) * d, -1), full_matrices=False)
+        basis = basis[:, size > DEPENDENT * np.sqrt(len(nodes))]
+        row = (nodes[:, None] * d + np.arange(d)).ravel()
+        rows.append(np.repeat(row, basis.shape[1]))
+        columns.append(np.tile(count + np.arange(basis.shape[1]), len(row)))
+        values.append(basis.ravel())
+        count += basis.shape[1]
+    entries = [np.concatenate([np.zeros(0, int), *parts]) for parts in (values, rows, columns)]
+    local = scipy.sparse.csr_matrix((entries[0], (entries[1], entries[2])), shape=(n * d, count))
+    start = model.comm.exscan(count) or 0
+    csr = local.indptr.astype(PETSc.IntType), (local.indices + start).astype(PETSc.IntType), local.data
+    return PETSc.Mat().createAIJ(((n * d, None), (count, None)), csr=csr, comm=model.comm)
+
+
+def _largest_eigenvalue(stiffness: PETSc.Mat, inverse: PETSc.Vec) -> float:
+    """Of the stiffness over its diagonal, or a little more."""
+    x, y = stiffness.createVecs()
+    # Rough everywhere, and the same on any number of ranks but for the numbering.
+    x.array[:] = np.random.default_rng(0).standard_normal(len(x.array))
+    for _ in range(POWER_ITERATIONS):
+        x.normalize()
+        stiffness.mult(x, y)
+        x.pointwiseMult(inverse, y)
+    return SAFETY * x.norm()

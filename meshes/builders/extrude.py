@@ -1,0 +1,163 @@
+"""Bodies drawn from sections: meshed freely with simplices, or with quadrilaterals or bricks in patches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gmsh
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.meshes.builders.sections import Disc, HalfDisc, Rectangle
+from piezomat.meshes.builders.sizes import (
+    LINE,
+    PATCH,
+    POINT,
+    Grading,
+    Line,
+    MeshSizes,
+    Point,
+    cells_in,
+    straight,
+    use_fields,
+)
+from piezomat.meshes.builders.structured import Lattice, Piece, Pieces
+from piezomat.meshes.gmsh_io import model as gmsh_model
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a section lies: (s, t) are measured from `origin`; in 3D the body stretches along `axis`."""
+
+    origin: Point
+    s: Point = (1.0, 0.0, 0.0)
+    t: Point = (0.0, 1.0, 0.0)
+    axis: Point | None = None
+
+    @classmethod
+    def upright(cls, across: float, up: float, angle: float | None = None) -> Frame:
+        """In 2D (no angle) x and y; in 3D upright and across a body at `angle` degrees from x."""
+        if angle is None:
+            return cls((across, up, 0.0))
+        c, s = float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
+        return cls((-s * across, c * across, up), (-s, c, 0.0), (0.0, 0.0, 1.0), (c, s, 0.0))
+
+    def place(self, section: NDArray[np.float64], along: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+        """Positions (..., 3) of points of the section (..., 2), moved along the axis by `along` (...,)."""
+        axis = np.asarray(self.axis or (0.0, 0.0, 0.0))
+        plane = section[..., :1] * np.asarray(self.s) + section[..., 1:] * np.asarray(self.t)
+        return np.asarray(self.origin) + plane + np.asarray(along)[..., None] * axis
+
+
+@dataclass(frozen=True)
+class Body:
+    """A section in its frame, stretched over `length` in 3D.
+
+    It meets others at `contacts`, points of the section: in 3D along lines, or, where `crossed`, at points
+    half way along. `radius` scales the zone of fine cells. `ends` are the groups of the two ends in 3D.
+    """
+
+    name: str
+    section: HalfDisc | Disc | Rectangle
+    frame: Frame
+    contacts: Sequence[tuple[float, float]]
+    radius: float
+    length: float | None = None
+    crossed: bool = False
+    ends: tuple[str, str] = ("", "")
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return 2 if self.length is None else 3
+
+
+def draw(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
+    """Mesh bodies into the current gmsh model; name them and their facet groups, these in the given order."""
+    if sizes.tensor:
+        _draw_patches(bodies, groups, sizes)
+    else:
+        _draw_freely(bodies, groups, sizes)
+
+
+def _draw_patches(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
+    """Quadrilaterals or bricks, patch by patch."""
+    pieces = Pieces(bodies[0].dimension)
+    for body in bodies:
+        size = Grading.of(sizes, body.name, body.radius, PATCH).about(body.contacts)
+        layers = _layers(body, sizes)
+        drawn = []
+        for patch in body.section.patches(size, sizes.order):
+            sides = {side: [group] for side, group in patch.sides.items()}
+            if layers is None:
+                points = body.frame.place(patch.points)[..., :2]
+            else:
+                points = body.frame.place(patch.points[:, :, None, :], layers)
+                sides |= {(2, 0): [body.ends[0]], (2, -1): [body.ends[1]]}
+            drawn.append(Piece(body.name, Lattice(points, sizes.order, True), sides))
+        pieces.add(*drawn)
+    pieces.finish(groups)
+
+
+def _layers(body: Body, sizes: MeshSizes) -> NDArray[np.float64] | None:
+    """Positions of nodes along the axis, symmetric about the middle; None in 2D."""
+    if body.length is None:
+        return None
+    half = 0.5 * body.length
+    if not body.crossed:
+        cells = cells_in(body.length, sizes.of(body.name)[1])
+        return np.linspace(-half, half, cells * sizes.order + 1)
+    grading = Grading.of(sizes, body.name, body.radius, LINE)
+    line = Line(straight((0.0,), (half,)), lambda x: grading.at(x[:, 0]))
+    ahead = line.divide(line.cells, sizes.order)[:, 0]
+    return np.concatenate([-ahead[:0:-1], ahead])
+
+
+def _draw_freely(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
+    """Triangles or tetrahedra inside the outlines."""
+    dim = bodies[0].dimension
+    entities: dict[str, list[int]] = {}
+    facets: dict[str, list[int]] = {}
+    fields = []
+    for body in bodies:
+        entity, named = _draw_outline(body)
+        entities[body.name] = [entity]
+        for group, facet in named:
+            facets.setdefault(group, []).append(facet)
+        places = [tuple(body.frame.place(np.array(contact)).tolist()) for contact in body.contacts]
+        grading = Grading.of(sizes, body.name, body.radius, POINT if body.crossed else LINE)
+        fields.append(grading.field((dim, entity), places, None if body.crossed else body.frame.axis))
+    gmsh_model.add_groups(dim, entities)
+    gmsh_model.add_groups(dim - 1, {group: facets[group] for group in groups})
+    use_fields(fields)
+    gmsh.option.setNumber("Mesh.Algorithm", 6)
+    gmsh.model.mesh.generate(dim)
+    gmsh.model.mesh.setOrder(sizes.order)
+    if sizes.order > 1:
+        # Cells that the true curve spoils are mended; sound ones are left alone.
+        gmsh.model.mesh.optimize("HighOrder")
+
+
+def _draw_outline(body: Body) -> tuple[int, list[tuple[str, int]]]:
+    """Draw one body; its entity, and the group of each entity of its boundary."""
+    occ = gmsh.model.occ
+    outline = body.section.outline()
+    start = 0.0 if body.length is None else -0.5 * body.length
+    corners = [occ.addPoint(*body.frame.place(np.array(edge.start), start)) for edge in outline]
+    center = occ.addPoint(*body.frame.place(np.zeros(2), start))
+    curves = []
+    for edge, a, b in zip(outline, corners, corners[1:] + corners[:1], strict=True):
+        curves.append(occ.addCircleArc(a, center, b) if edge.round else occ.addLine(a, b))
+    occ.remove([(0, center)])
+    section = occ.addPlaneSurface([occ.addCurveLoop(curves)])
+    groups = [edge.group for edge in outline]
+    if body.length is None:
+        occ.synchronize()
+        return section, list(zip(groups, curves, strict=True))
+    made = occ.extrude([(2, section)], *(body.length * np.asarray(body.frame.axis)))
+    occ.synchronize()
+    # Each curve of the section bounds the section and the face swept from it.
+    swept = [(set(gmsh.model.getAdjacencies(1, curve)[0].tolist()) - {section}).pop() for curve in curves]
+    ends = zip(body.ends, (section, made[0][1]), strict=True)
+    return made[1][1], [*zip(groups, swept, strict=True), *ends]

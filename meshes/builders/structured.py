@@ -1,0 +1,162 @@
+"""Cells between the points of a lattice, whole or split into simplices, as entities of the gmsh model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Literal
+
+import gmsh
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from piezomat.meshes.gmsh_io import model as gmsh_model
+from piezomat.meshes.gmsh_io.model import CELLS
+
+Side = tuple[int, Literal[0, -1]]
+GMSH_TYPE = {cell: kind for kind, cell in CELLS.items()}
+BOXES = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
+SIMPLICES = {1: "interval", 2: "triangle", 3: "tetrahedron"}
+
+
+class Lattice:
+    """Points in rows, columns (and layers), with the cells between them.
+
+    `points` has shape (rows, columns(, layers), dim) with order * cells + 1 points along each axis. Each box
+    is one cell, or is split along one diagonal into 2 triangles or 6 tetrahedra, which match between boxes.
+    """
+
+    def __init__(self, points: NDArray[np.float64], order: int, tensor: bool) -> None:
+        self.points, self.order, self.tensor = points, order, tensor
+        self.shape = points.shape[:-1]
+
+    @classmethod
+    def box(cls, axes: Sequence[NDArray[np.float64]], order: int, tensor: bool) -> Lattice:
+        """Lattice of a box with these cell ends along its axes."""
+        fine = [np.interp(np.arange(order * (len(a) - 1) + 1) / order, np.arange(len(a)), a) for a in axes]
+        return cls(np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1), order, tensor)
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the cells."""
+        return len(self.shape)
+
+    def cells(self) -> NDArray[np.int64]:
+        """Points of each cell (n, nodes), numbered through the lattice, in gmsh's order."""
+        return np.ravel_multi_index(tuple(np.moveaxis(self._index(self.shape), -1, 0)), self.shape)
+
+    def facets(self, side: Side) -> NDArray[np.int64]:
+        """Points of each facet (n, nodes) on a side (axis, first or last), in gmsh's order."""
+        axis, end = side
+        on_side = self._index(tuple(np.delete(self.shape, axis)))
+        index = np.insert(on_side, axis, end % self.shape[axis], axis=-1)
+        return np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), self.shape)
+
+    def distort(self, fraction: float, seed: int) -> None:
+        """Move the corners inside by up to this fraction of the least cell size along each axis.
+
+        Edges stay straight. The same seed gives the same mesh.
+        """
+        dim, order = self.dim, self.order
+        corners = self.points[(slice(None, None, order),) * dim].copy()
+        spacing = np.array([np.diff(corners, axis=d)[..., d].min() for d in range(dim)])
+        inside = (slice(1, -1),) * dim
+        move = np.random.default_rng(seed).uniform(-fraction, fraction, corners.shape)
+        corners[inside] += (move * spacing)[inside]
+        index = np.stack(np.meshgrid(*(np.arange(n) for n in self.shape), indexing="ij"), axis=-1)
+        low, high = index // order, -(-index // order)
+        if self.tensor:
+            ends = [np.where(choice, high, low) for choice in np.ndindex((2,) * dim)]
+        else:
+            ends = [low, high]
+        self.points = np.mean([corners[tuple(np.moveaxis(end, -1, 0))] for end in ends], axis=0)
+
+    def _index(self, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Lattice index (n, nodes, dim) of the nodes of the cells of a lattice of this shape."""
+        dim, order = len(shape), self.order
+        counts = [(n - 1) // order for n in shape]
+        boxes = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(-1, 1, dim)
+        nodes = [np.rint(order * offset).astype(np.int64) for offset in _nodes(dim, order, self.tensor)]
+        return np.concatenate([order * boxes + offset for offset in nodes])
+
+
+def _nodes(dim: int, order: int, tensor: bool) -> list[NDArray[np.float64]]:
+    """Nodes (nodes, dim) in the unit box of the cells that fill it, in gmsh's order."""
+    kind = GMSH_TYPE[(BOXES if tensor else SIMPLICES)[dim], order]
+    local = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (-1, dim))
+    if tensor or dim == 1:
+        return [0.5 * (local + 1)]
+    simplices = []
+    for axes in permutations(range(dim)):
+        corners = np.zeros((dim + 1, dim))
+        for step, axis in enumerate(axes):
+            corners[step + 1 :, axis] = 1
+        if np.linalg.det(corners[1:] - corners[0]) < 0:
+            corners[[-2, -1]] = corners[[-1, -2]]
+        simplices.append(corners[0] + local @ (corners[1:] - corners[0]))
+    return simplices
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A lattice as (part of) a body, with the facet groups of its sides."""
+
+    body: str
+    lattice: Lattice
+    sides: Mapping[Side, Sequence[str]]
+
+
+class Pieces:
+    """Lattices put into the current gmsh model as bodies and facet groups."""
+
+    def __init__(self, dim: int) -> None:
+        self.dim = dim
+        self.nodes = 0
+        self.bodies: dict[str, list[int]] = {}
+        self.groups: dict[str, list[int]] = {}
+
+    def add(self, *pieces: Piece) -> None:
+        """Add pieces that share the points where they meet, and none with pieces added before."""
+        x = np.concatenate([piece.lattice.points.reshape(-1, piece.lattice.points.shape[-1]) for piece in pieces])
+        number = merged(x) if len(pieces) > 1 else np.arange(len(x))
+        _, first = np.unique(number, return_index=True)
+        x = np.pad(x[first], ((0, 0), (0, 3 - x.shape[1])))
+        tags = self.nodes + 1 + np.arange(len(x))
+        self.nodes += len(x)
+        start, placed = 0, False
+        for piece in pieces:
+            mine = tags[number[start : start + np.prod(piece.lattice.shape)]]
+            start += len(mine)
+            cells = mine[piece.lattice.cells()]
+            entity = gmsh.model.addDiscreteEntity(self.dim)
+            if not placed:
+                gmsh.model.mesh.addNodes(self.dim, entity, tags, x.ravel())
+                placed = True
+            self._elements(self.dim, entity, cells, piece.lattice)
+            self.bodies.setdefault(piece.body, []).append(entity)
+            for side, groups in piece.sides.items():
+                entity = gmsh.model.addDiscreteEntity(self.dim - 1)
+                self._elements(self.dim - 1, entity, mine[piece.lattice.facets(side)], piece.lattice)
+                for group in groups:
+                    self.groups.setdefault(group, []).append(entity)
+
+    @staticmethod
+    def _elements(dim: int, entity: int, nodes: NDArray[np.int64], lattice: Lattice) -> None:
+        kind = GMSH_TYPE[(BOXES if lattice.tensor else SIMPLICES)[dim], lattice.order]
+        gmsh.model.mesh.addElementsByType(entity, kind, [], nodes.ravel())
+
+    def finish(self, groups: Iterable[str]) -> None:
+        """Name bodies and facet groups, these in the given order."""
+        gmsh_model.add_groups(self.dim, self.bodies)
+        gmsh_model.add_groups(self.dim - 1, {name: self.groups[name] for name in groups})
+
+
+def merged(x: NDArray[np.float64]) -> NDArray[np.int64]:
+    """New number of each point (n, d) such that points in the same place have the same one."""
+    pairs = cKDTree(x).query_pairs(1e-9 * float(np.ptp(x, axis=0).max()), output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))
+    return connected_components(graph, directed=False)[1]

@@ -1,0 +1,99 @@
+"""How far along their connected part nodes are: the shortest way through its cells from one of its ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+from scipy.sparse.csgraph import dijkstra
+
+from piezomat.forms import fenicsx
+from piezomat.meshes.contact.surface import global_numbers, node_coordinates
+from piezomat.meshes.parallel import Exchange
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def distance_along(space: Any, node_part: Integers, parts: int) -> Array:
+    """How far (um) the local nodes of a space are from one end of their connected part, along edges. Collective.
+
+    The way leads through the part, along the edges and diagonals of its cells; inf where a node is no corner of a
+    cell. The end is the node furthest from where coordinates are least, which is an end of a fiber. node_part (n,):
+    the part of each local node.
+    """
+    x, cells = node_coordinates(space), fenicsx.dofmap(space)[:, : fenicsx.corners_per_cell(space.mesh)]
+    corner = np.isin(np.arange(len(x)), cells)
+    ways, least = _ways(x, cells), _least_over_ranks(space)
+    keys, distance = x, np.zeros(0)
+    for _ in range(2):
+        keys = np.where(corner[:, None], keys, np.inf)
+        root = corner & _is_first(space.mesh.comm, keys, node_part, parts)
+        distance = _distances(space.mesh.comm, ways, root, least)
+        keys = np.column_stack([-distance, x])
+    return distance
+
+
+def _ways(x: Array, cells: NDArray[np.int32]) -> scipy.sparse.csr_matrix:
+    """Distances (n, n) between every two nodes of a cell."""
+    pairs = [np.sort(cells[:, list(pair)], axis=1) for pair in combinations(range(cells.shape[1]), 2)]
+    first, last = np.unique(np.concatenate(pairs), axis=0).T
+    length = np.linalg.norm(x[first] - x[last], axis=1)
+    one_way = scipy.sparse.csr_matrix((length, (first, last)), shape=(len(x), len(x)))
+    return one_way + one_way.T
+
+
+def _distances(
+    comm: MPI.Comm, ways: scipy.sparse.csr_matrix, root: NDArray[np.bool_], least: Callable[[Array], Array]
+) -> Array:
+    """Length (n,) of the shortest way to a root. Collective.
+
+    Each rank goes on from what the others have found, until none finds a shorter way.
+    """
+    count = len(root)
+    distance = np.where(root, 0.0, np.inf)
+    shorter = True
+    while shorter:
+        known = least(distance)
+        # A node before all others, as far from each as that is known to be.
+        start = np.flatnonzero(np.isfinite(known))
+        row = scipy.sparse.csr_matrix((known[start], start, [0, len(start)]), shape=(1, count))
+        graph = scipy.sparse.bmat([[None, row], [scipy.sparse.csr_matrix((count, 1)), ways]], format="csr")
+        distance = dijkstra(graph, indices=0)[1:]
+        shorter = comm.allreduce(bool((distance < known).any()), op=MPI.LOR)
+    return distance
+
+
+def _is_first(comm: MPI.Comm, keys: Array, part: Integers, parts: int) -> NDArray[np.bool_]:
+    """Whether a node's keys (n, k), in their order, are the least of its part on any rank. Collective."""
+    least = np.full((parts, keys.shape[1]), np.inf)
+    order = np.lexsort((*keys.T[::-1], part))
+    here, first = np.unique(part[order], return_index=True)
+    least[here] = keys[order[first]]
+    for other in comm.allgather(least):
+        column = (other != least).argmax(axis=1)[:, None]
+        less = np.take_along_axis(other, column, 1) < np.take_along_axis(least, column, 1)
+        least = np.where(less, other, least)
+    return (keys == least[part]).all(axis=1)
+
+
+def _least_over_ranks(space: Any) -> Callable[[Array], Array]:
+    """What gives the least that any rank has at the local nodes of a space; its calls are collective."""
+    index_map = space.dofmap.index_map
+    nodes = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    numbers = global_numbers(space, nodes).astype(PETSc.IntType)
+    whole = PETSc.Vec().createMPI((index_map.size_local, None), comm=space.mesh.comm)
+    exchange = Exchange(whole, PETSc.IS().createGeneral(numbers, comm=MPI.COMM_SELF))
+
+    def least(values: Array) -> Array:
+        whole.array[:] = -np.inf
+        exchange.raise_to(-values, whole)
+        return -exchange.take(whole)
+
+    return least

@@ -1,0 +1,100 @@
+"""Self-contact: which facets of its own connected part a point may meet.
+
+Its own neighbourhood on the surface and the far side of its own fiber are near a point wherever it is, and in the
+deformed state neither distances nor normals tell them from what has come to lie against it. The undeformed state does:
+there the two face each other across open space, as the legs of a hairpin, or else they are far from each other along
+the part, as what a fiber that is bent over itself meets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezomat.forms.contact.facets import FacetKind
+from piezomat.forms.contact.gap import point_normals
+from piezomat.meshes.contact.local_search import FACING
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Thicknesses along a part that are its own neighbourhood. The way through a fiber to its far side is shorter, although
+# it follows edges of cells; that along a fiber bent until it touches itself is longer unless its bend is narrower than
+# two diameters.
+FAR = 3.0
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Facets in the undeformed state: middle and normal (f, d), along (f,), node numbers (f, n) and key (f,)."""
+
+    middle: Array
+    normal: Array
+    along: Array
+    nodes: Integers
+    key: Integers
+
+    @classmethod
+    def of(
+        cls, kind: FacetKind, facets: Array, orientation: Array, along: Array, nodes: Integers, key: Integers
+    ) -> Sides:
+        """Those of facets (f, n, d) whose nodes are so far along their part, `distance_along` over what is far."""
+        xi = np.tile(kind.middle, (len(facets), 1))
+        middle = np.einsum("mk,mkd->md", kind.shape(xi), facets)
+        # What lies between corners has no distance.
+        return cls(middle, point_normals(kind, xi, facets, orientation), along.min(axis=1), nodes, key)
+
+
+@dataclass(frozen=True)
+class OwnSurface:
+    """Slave and master facets of the same parts."""
+
+    slave: Sides
+    master: Sides
+
+    def may_meet(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
+        """Whether points of slave facets i may meet master facets j, (k,) each."""
+        far = np.abs(self.slave.along[i] - self.master.along[j]) > 1.0
+        near = np.flatnonzero(~far)
+        i, j = i[near], j[near]
+        away = self.master.middle[j] - self.slave.middle[i]
+        ours, theirs = self.slave.normal[i], self.master.normal[j]
+        faces = np.einsum("md,md->m", ours, theirs) < FACING
+        faces &= (np.einsum("md,md->m", away, ours) > 0.0) & (np.einsum("md,md->m", away, theirs) < 0.0)
+        across = np.flatnonzero(faces)
+        joined = (self.slave.nodes[i[across]][:, :, None] == self.master.nodes[j[across]][:, None]).any(axis=(1, 2))
+        far[near[across[~joined]]] = True
+        return far
+
+    def precedes(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
+        """Whether slave facets i come before master facets j along the part, (k,) each."""
+        ours, theirs = self.slave.along[i], self.master.along[j]
+        return (ours < theirs) | ((ours == theirs) & (self.slave.key[i] < self.master.key[j]))
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The facets that points of each slave facet may meet: of slave facet f, facet[start[f] : start[f + 1]]."""
+
+    start: Integers
+    facet: Integers
+
+    @classmethod
+    def of(cls, slave: Integers, facet: Integers, slaves: int) -> Candidates:
+        """Those of pairs (slave facet, facet)."""
+        order = np.argsort(slave, kind="stable")
+        start = np.concatenate([[0], np.cumsum(np.bincount(slave, minlength=slaves))])
+        return cls(start, facet[order])
+
+    def of_points(self, slave: Integers) -> tuple[Integers, Integers]:
+        """Pairs (point, facet) of points on these slave facets (m,)."""
+        count = self.count(slave)
+        row = np.repeat(np.arange(len(slave)), count)
+        before = np.cumsum(count) - count
+        return row, self.facet[self.start[slave][row] + np.arange(len(row)) - before[row]]
+
+    def count(self, slave: Integers) -> Integers:
+        """How many facets points on these slave facets (m,) may meet."""
+        return self.start[slave + 1] - self.start[slave]

@@ -1,0 +1,42 @@
+"""What every built shape answers."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+from piezomat.meshes.builders.sizes import MeshSizes
+
+
+class Shape(BaseModel):
+    """A geometry with named bodies and facet groups, known before anything is meshed. Lengths in um."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        raise NotImplementedError
+
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies, in the order of their numbers."""
+        raise NotImplementedError
+
+    def facet_groups(self) -> tuple[str, ...]:
+        """Names of the facet groups."""
+        raise NotImplementedError
+
+    def size(self) -> float:
+        """Least extent of the smallest body (um)."""
+        raise NotImplementedError
+
+    def build(self, sizes: MeshSizes) -> None:
+        """Draw and mesh into the current gmsh model, with the bodies and facet groups as physical groups."""
+        raise NotImplementedError
+
+    def __eq__(self, other: object) -> bool:
+        """By the keys alone: what is derived from them and remembered are arrays."""
+        return type(self) is type(other) and self.model_dump() == other.model_dump()
+
+    def outcome(self) -> object | None:
+        """What a recipe came to, to be shown in words; None for a shape that is no recipe."""
+        return None

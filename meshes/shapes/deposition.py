@@ -1,0 +1,144 @@
+"""Fibers laid down one after the other, each coming to rest on those below it, stiff or bending over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from piezomat.meshes.builders.centre_lines import Face, Fiber, Pieces, segment_distances
+
+Array = NDArray[np.float64]
+Faces = tuple[Face | None, Face | None]
+
+ROUNDS = 200  # of lifting a fiber off those below until it touches them without overlap
+TOUCHING = 1e-9  # overlap that is left, in radii
+
+
+class Bed:
+    """The fibers laid so far, on a floor at height 0."""
+
+    def __init__(self, bend_radius: float | None, gap: float) -> None:
+        """bend_radius (um): least radius of curvature of a fiber that bends; None: stiff. gap (um): between fibers."""
+        self.fibers: list[Fiber] = []
+        self.bend_radius, self.gap = bend_radius, gap
+        self._pieces: Pieces | None = None
+        self._tree: cKDTree | None = None
+
+    def lay(self, name: str, plan: Array, radius: float, faces: Faces = (None, None)) -> Fiber:
+        """Lay a fiber along points (n, 2) seen from above and return it where it rests.
+
+        Ends that `faces` cut are laid as far as their tips reach, so that these overlap nothing either.
+        A stiff fiber stays level at the height where it first touches. One that bends follows what is below as
+        closely as its radius of curvature allows, and touches it at least at one place.
+        """
+        flat = Fiber(name, np.column_stack([plan, np.full(len(plan), radius)]), radius, faces).flush()
+        along, x = flat.samples() if self.bend_radius is not None else (flat.curve.x, flat.points)
+        below = self._below(flat)
+        wanted = np.full(len(x), radius)
+        if below is not None:
+            if self.bend_radius is not None:
+                wanted = self._supports(x, below, wanted)
+            else:
+                mine = Pieces.of([flat])
+                balls = np.concatenate([mine.start, mine.end])
+                wanted[:] = self._supports(balls, below, np.tile(mine.radius, 2)).max()
+        fiber = self._at(flat, x, self._drape(along, wanted))
+        for _ in range(ROUNDS if below is not None else 0):
+            lift, places = self._missing(fiber, below)
+            if not len(lift) or lift.max() <= TOUCHING * radius:
+                break
+            if self.bend_radius is None:
+                wanted = wanted + lift.max()
+            else:
+                rise = np.zeros(len(x))
+                near = np.clip(np.searchsorted(fiber.curve.x, places), 1, len(along) - 1)
+                for k in (near - 1, near):
+                    np.maximum.at(rise, k, lift)
+                wanted = wanted + rise
+            fiber = self._at(fiber, x, self._drape(along, wanted))
+        # Whole and little, up off an overlap that is left or down to where it touches.
+        for _ in range(ROUNDS if below is not None else 0):
+            lift, _ = self._missing(fiber, below)
+            move = max(lift.max(initial=-np.inf), -fiber.lowest)
+            if abs(move) <= TOUCHING * radius:
+                break
+            fiber = self._at(fiber, x, fiber.points[:, 2] + move)
+        self._add(fiber)
+        return fiber
+
+    @property
+    def top(self) -> float:
+        """Height of the highest fiber (um)."""
+        return max((float(f.points[:, 2].max()) + f.radius for f in self.fibers), default=0.0)
+
+    def _at(self, fiber: Fiber, x: Array, height: Array) -> Fiber:
+        """The fiber through points x at other heights. An end once square stays so, lest it change to and fro."""
+        return Fiber(fiber.name, np.column_stack([x[:, :2], height]), fiber.radius, fiber.faces).flush()
+
+    def _drape(self, along: Array, wanted: Array) -> Array:
+        """The height of a fiber that must lie no lower than `wanted` (n,): level, or bent no more than it may.
+
+        Lasry and Lions (Israel J. Math. 55, 1986): the supremum of downward parabolas, then the infimum of upward ones
+        twice as narrow, is a curve on or above the wanted one whose curvature is bounded both ways.
+        """
+        if self.bend_radius is None:
+            return np.full(len(along), wanted.max())
+        square = (along[:, None] - along) ** 2 / (2.0 * self.bend_radius)
+        raised = (wanted - 0.5 * square).max(axis=1)
+        return (raised + square).min(axis=1)
+
+    def _below(self, flat: Fiber) -> Pieces | None:
+        """Pieces that the fiber crosses when seen from above."""
+        if self._tree is None:
+            return None
+        mine = Pieces.of([flat])
+        x = np.concatenate([mine.start, mine.end])[:, :2]
+        reach = flat.radius + self._thickest + self.gap + 2.0 * self._longest
+        near = np.unique(np.concatenate([np.asarray(n, np.int64) for n in self._tree.query_ball_point(x, reach)]))
+        return self._pieces.take(near.astype(np.int64)) if len(near) else None
+
+    def _supports(self, x: Array, below: Pieces, radius: Array) -> Array:
+        """Lowest heights (n,) at which balls of a radius (n,) about points x, each taken alone, clear what is below."""
+        a, u = below.start[:, :2], (below.end - below.start)[:, :2]
+        share = np.einsum("nkd,kd->nk", x[:, None, :2] - a, u) / np.maximum((u * u).sum(axis=1), 1e-300)
+        share = np.clip(share, 0.0, 1.0)
+        off = x[:, None, :2] - a - share[..., None] * u
+        clear = (radius[:, None] + below.radius + self.gap) ** 2 - (off**2).sum(axis=2)
+        height = below.start[:, 2] + share * (below.end - below.start)[:, 2] + np.sqrt(np.maximum(clear, 0.0))
+        return np.maximum(radius, np.where(clear > 0.0, height, -np.inf).max(axis=1))
+
+    def _missing(self, fiber: Fiber, below: Pieces) -> tuple[Array, Array]:
+        """By how much the fiber must rise where it overlaps others, (n,), and where along it; negative elsewhere."""
+        mine = Pieces.of([fiber])
+        reach = fiber.radius + self._thickest + self.gap + 2.0 * self._longest
+        middle = cKDTree(0.5 * (below.start + below.end))
+        found = middle.query_ball_point(0.5 * (mine.start + mine.end), reach)
+        i = np.repeat(np.arange(len(found)), [len(n) for n in found])
+        j = np.concatenate([np.asarray(n, np.int64) for n in found]).astype(np.int64)
+        distance, s, _, away = segment_distances(mine.start[i], mine.end[i], below.start[j], below.end[j])
+        missing = mine.radius[i] + below.radius[j] + self.gap - distance
+        # Raising by dz moves the nearest points apart by dz times the upward part of the line between them.
+        upward = np.maximum(away[:, 2] / np.maximum(distance, 1e-300), 0.3)
+        return missing / upward, mine.along[i, 0] + s * (mine.along[i, 1] - mine.along[i, 0])
+
+    def _add(self, fiber: Fiber) -> None:
+        self.fibers.append(fiber)
+        pieces = Pieces.of([fiber])
+        self._pieces = pieces if self._pieces is None else self._pieces.joined(pieces)
+        middle = 0.5 * (self._pieces.start + self._pieces.end)
+        self._tree = cKDTree(middle[:, :2])
+        self._longest = float(np.linalg.norm(self._pieces.end - self._pieces.start, axis=1).max())
+        self._thickest = float(self._pieces.radius.max())
+
+
+def lay_all(
+    plans: Sequence[tuple[str, Array, float, Faces]], bend_radius: float | None = None, gap: float = 0.0
+) -> list[Fiber]:
+    """Lay fibers (name, points (n, 2) seen from above, radius, faces that cut it), one after the other."""
+    bed = Bed(bend_radius, gap)
+    for plan in plans:
+        bed.lay(*plan)
+    return bed.fibers

@@ -1,0 +1,26 @@
+"""A run of piezomat that writes no results: python -m scripts.studies.benchmark_run SCENE, one JSON line."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from mpi4py import MPI
+
+from piezomat.startup import importing
+
+with importing():  # as the command line does
+    from piezomat.scene.scene import Scene
+    from piezomat.simulation import run
+
+done = run(Scene.load(sys.argv[1]), MPI.COMM_WORLD)
+last = done.history[-1]
+answer = {
+    "unknowns": done.model.unknowns,
+    "newton": [row["newton"] for row in done.history],
+    "force": last["force_y@top" if done.model.dim == 2 else "force_z@top"],
+    "potential": last.get("mean_potential@top"),
+    "pressure": last["max_pressure@lower-upper"],
+    "timings": done.problem.timer.timings(MPI.COMM_WORLD),
+}
+print(json.dumps(answer))

@@ -1,0 +1,182 @@
+"""Accuracy against processor seconds: every contact method, order 1 and 2, penalty and augmented, on four meshes each.
+
+    scripts/chart                             all cases, into results/chart: some 30 minutes of a processor
+    scripts/chart out --cases hertz           one of them, into another folder
+    scripts/chart out --meshes 2              the two coarsest meshes of each curve alone (and the reference)
+    scripts/chart --with ngsolve getfem       their points too; installed in folders of their own if need be
+    scripts/chart out --draw                  only draws anew what out holds
+
+A case is a table NAME.csv with a row a run (a process of its own, start-up and mesh included) and a picture NAME.png.
+Errors are those against the reference, a row of the table (those of the peak pressure: against Hertz, under
+the force of the run); runs that the table holds are not run again. The
+cases are in chart_cases.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+from piezomat.scene.scene import Scene
+from scripts.studies import tables
+from scripts.studies.chart_cases import CASES, CURVES, ELECTRIC, NORMAL, Case, peak_pressure
+from scripts.studies.other_programs import OTHERS, installed
+from scripts.studies.two_fibers import Cost, Failed, measured, run_of, write_mesh
+
+COLUMNS = ["curve", "size", "unknowns", "seconds", "memory_mb", "newton", "force", "potential", "pressure", "reason"]
+COLOURS = {"node": "#d95f02", "point": "#1b9e77", "segment": "#7570b3"}
+FOREIGN = {"ngsolve": ("NGSolve", "D"), "getfem": ("GetFEM", "v")}
+TRUTH = "reference"
+
+
+def ours(scene: Scene) -> Cost:
+    """A run of piezomat. Raises Failed."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "scene.toml"
+        path.write_text(scene.to_toml(), encoding="utf-8")
+        return measured(run_of(path))
+
+
+def theirs(case: Case, size: float, program: tuple[list[str], dict[str, str]]) -> Cost:
+    """A run of another program on the mesh of order 1. Raises Failed."""
+    command, environment = program
+    with tempfile.TemporaryDirectory() as scratch:
+        path, mesh = Path(scratch) / "scene.toml", Path(scratch) / "mesh.msh"
+        path.write_text(case.scene(CURVES[0], size).to_toml(), encoding="utf-8")
+        write_mesh(path, mesh)
+        penalties = [f"--normal={NORMAL / size!r}", f"--electric={ELECTRIC / size!r}"]
+        return measured([*command, str(mesh), *penalties], environment)
+
+
+def row(name: str, size: float, cost: Cost) -> dict[str, Any]:
+    """A run's row of the table."""
+    answer = cost.answer
+    return {
+        "curve": name,
+        "size": size,
+        "unknowns": answer["unknowns"],
+        "seconds": f"{cost.seconds:.2f}",
+        "memory_mb": f"{cost.memory:.0f}",
+        "newton": sum(answer["newton"]),
+        **{key: answer[key] for key in ("force", "potential", "pressure") if answer.get(key) is not None},
+    }
+
+
+def sweep(case: Case, out: Path, meshes: int, others: dict[str, tuple[list[str], dict[str, str]]]) -> None:
+    """Run what the table lacks; every row is in it as soon as its run has ended."""
+    path = out / f"{case.name}.csv"
+    done = {(row["curve"], row["size"]) for row in tables.rows(path)}
+    foreign = others if case.material == "pvdf" else {}
+    sizes = case.sizes[:meshes]
+    todo = [(TRUTH, case.finest), *((curve.name, size) for size in sizes for curve in CURVES)]
+    todo += [(name, size) for size in sizes for name in foreign]
+    by_name = {curve.name: curve for curve in CURVES}
+    for name, size in todo:
+        if (name, f"{size}") in done:
+            continue
+        try:
+            if name in foreign:
+                cost = theirs(case, size, foreign[name])
+            elif name == TRUTH:
+                cost = ours(case.reference())
+            else:
+                cost = ours(case.scene(by_name[name], size))
+            found = row(name, size, cost)
+        except Failed as failure:
+            found = {"curve": name, "size": size, "reason": str(failure)}
+        tables.append(path, COLUMNS, found)
+        print(f"{case.name}  {name}  {size:g}  {found.get('reason') or found['seconds'] + ' s'}", flush=True)
+
+
+def errors(case: Case, rows: list[dict[str, str]]) -> dict[str, list[tuple[float, float, float]]]:
+    """Of each curve (seconds, relative error of the force, of the second quantity), coarsest mesh first."""
+    truth = next((r for r in rows if r["curve"] == TRUTH and r["force"]), None)
+    if truth is None:
+        raise SystemExit(f"{case.name}: the reference failed; its row in the table says why")
+    found: dict[str, list[tuple[float, float, float]]] = {}
+    for r in sorted(rows, key=lambda r: -float(r["size"])):
+        if r["curve"] == TRUTH or not r["force"]:
+            continue
+        right = peak_pressure(abs(float(r["force"]))) if case.second == "pressure" else float(truth[case.second])
+        force = abs(float(r["force"]) / float(truth["force"]) - 1.0)
+        second = abs(float(r[case.second]) / right - 1.0)
+        found.setdefault(r["curve"], []).append((float(r["seconds"]), force, second))
+    return found
+
+
+def draw(case: Case, rows: list[dict[str, str]], path: Path) -> None:
+    """Two panels, force and second quantity: a curve a method; colour method, marker order, dashes augmented."""
+    found = errors(case, rows)
+    figure, axes = pyplot.subplots(1, 2, figsize=(11, 5.2), sharex=True)
+    for axis, part, what in zip(axes, (1, 2), ("force", case.second), strict=True):
+        for curve in CURVES:
+            points = found.get(curve.name, [])
+            line = "--" if curve.augmented else "-"
+            style = {"color": COLOURS[curve.method], "linestyle": line, "marker": "os"[curve.order - 1]}
+            axis.plot([p[0] for p in points], [p[part] for p in points], markersize=5, linewidth=1.2, **style)
+        for name, (_, marker) in FOREIGN.items():
+            points = found.get(name, [])
+            axis.plot([p[0] for p in points], [p[part] for p in points], marker=marker, color="black", linewidth=0.8)
+        label(axis, f"relative error of the {'peak ' if what == 'pressure' else ''}{what}")
+    figure.suptitle(case.title, fontsize=11)
+    figure.legend(handles=legend(found), loc="lower center", ncol=5, fontsize=8, frameon=False)
+    figure.tight_layout(rect=(0.0, 0.08, 1.0, 1.0))
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def label(axis: Axes, what: str) -> None:
+    """Log axes, names and a grid."""
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_xlabel("processor seconds of the whole run")
+    axis.set_ylabel(what)
+    axis.grid(True, which="both", linewidth=0.3)
+
+
+def legend(found: dict[str, Any]) -> list[Line2D]:
+    """What colours, markers and dashes mean, and the other programs that are there."""
+    handles = [Line2D([], [], color=colour, label=name) for name, colour in COLOURS.items()]
+    handles += [Line2D([], [], color="grey", linestyle="", marker="os"[o - 1], label=f"order {o}") for o in (1, 2)]
+    dashes = (("-", "penalty"), ("--", "augmented"))
+    handles += [Line2D([], [], color="grey", linestyle=line, label=name) for line, name in dashes]
+    handles += [
+        Line2D([], [], color="black", marker=marker, linewidth=0.8, label=f"{name}, order 1, penalty")
+        for key, (name, marker) in FOREIGN.items()
+        if key in found
+    ]
+    return handles
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="scripts/chart", description=__doc__.split("\n")[0])
+    parser.add_argument("out", nargs="?", type=Path, default=Path("results/chart"))
+    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
+    parser.add_argument("--meshes", type=int, choices=(1, 2, 3, 4), default=4, help="so many of each curve's meshes")
+    parser.add_argument("--with", dest="others", nargs="+", choices=list(OTHERS), default=[], help="other programs")
+    parser.add_argument("--draw", action="store_true", help="only draw what there is")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    others = {} if given.draw else installed(given.others)
+    for name in given.cases:
+        if not given.draw:
+            sweep(CASES[name], given.out, given.meshes, others)
+        draw(CASES[name], tables.rows(given.out / f"{name}.csv"), given.out / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""Contact of many bodies: the same pairs as a search through all, on any number of ranks, and their report."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from piezomat.contact import search as partners
+from piezomat.contact.setup import contact_of
+from piezomat.discretization.model import Model
+from piezomat.forms.contact.gap import point_normals, project
+from piezomat.meshes.body_mesh import create
+from piezomat.meshes.contact.global_search import ONE_TO_ONE, Clusters, Meetings, Rule, overlapping
+from piezomat.meshes.contact.local_search import brute_force_facets, closest_facets
+from piezomat.scene.scene import Scene
+from piezomat.simulation import run
+from tests.histories import assert_equal
+
+MAT: dict[str, Any] = {
+    "geometry": {"shape": "mat", "count": 8, "width": 5.0, "depth": 5.0, "bend_radius": 4.0, "radius_spread": 0.2},
+    "mesh": {"size": 0.8, "contact_size": 0.5, "cells": "tensor"},
+    "bodies": {"*": "pvdf"},
+    "boundaries": [{"on": "ends", "displacement": [0, 0, "free"]}],
+    "contact": {"electric_range": 0.01},
+    "solver": {"tolerance": 1e-10},
+    "output": {"fields": "none", "picture": False},
+}
+
+
+def mat(**changes: Any) -> Scene:
+    """Eight fibers of a mat."""
+    return Scene(**{**MAT, **changes})
+
+
+def pressed(**changes: Any) -> Scene:
+    """Four plies of two fibers between a grounded floor and a lid that comes down."""
+    planes = [
+        {"name": "floor", "point": "bottom", "potential": 0},
+        {"name": "lid", "point": "top", "motion": [0, 0, -0.5], "follows": "press"},
+    ]
+    load = {"steps": [2], "factors": {"press": [1.0]}}
+    plies = {"shape": "cross_ply", "angles": [0, 90, 0, 90], "width": 4.0, "depth": 4.0}
+    return mat(**{"geometry": plies, "planes": planes, "load": load} | changes)
+
+
+def test_boxes_that_overlap_are_all_found(rng: np.random.Generator) -> None:
+    for d in (2, 3):
+        size = 10.0 ** rng.uniform(-2.0, 0.0, (2, 80, 1))
+        low = rng.uniform(-1.0, 1.0, (2, 80, d))
+        first, second = (np.stack([low[i], low[i] + size[i] * rng.uniform(0.0, 1.0, (80, d))], axis=1) for i in (0, 1))
+        a, b = overlapping(first, second, 0.05)
+        near = first[:, None, 0] <= second[:, 1] + 0.05
+        near &= first[:, None, 1] >= second[:, 0] - 0.05
+        expected = [tuple(pair) for pair in np.argwhere(near.all(axis=2)).tolist()]
+        assert sorted(zip(a.tolist(), b.tolist(), strict=True)) == expected and 20 < len(expected) < 6000
+
+
+def test_clusters_are_of_one_clump_and_hold_everything_once(rng: np.random.Generator) -> None:
+    low = rng.uniform(0.0, 1.0, (500, 3))
+    clump = rng.integers(0, 7, 500)
+    found = Clusters.of(low, low + 0.1, clump, 20)
+    assert sorted(np.concatenate(found.members).tolist()) == list(range(500))
+    for box, number, members in zip(found.boxes, found.clump, found.members, strict=True):
+        assert len(members) <= 20 and (clump[members] == number).all()
+        np.testing.assert_array_equal(box, [low[members].min(axis=0), low[members].max(axis=0) + 0.1])
+
+
+def test_rules_say_who_may_meet() -> None:
+    rule = Rule(parts=3)
+    clumps = rule.clump(np.array([0, 0, 1, 2]), np.array([0, 1, 1, 2]))
+    allowed = rule.allows(clumps[:, None], clumps)
+    # The body itself is out, and so is a body that shares a connected part.
+    assert allowed.astype(int).tolist() == [[0, 0, 1, 1], [0, 0, 0, 1], [1, 0, 0, 1], [1, 1, 1, 0]]
+    ordered = Rule(parts=3, ordered=True).allows(clumps[:, None], clumps)
+    assert (ordered == np.triu(allowed)).all()
+    itself = Rule(parts=3, ordered=True, itself=True).allows(clumps[:, None], clumps)
+    assert (itself == np.triu(np.ones((4, 4)))).all()
+    assert ONE_TO_ONE.allows(np.array([0]), np.array([3])).all()
+
+
+def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm, rng: np.random.Generator) -> None:
+    """Against each other fiber in turn, by the slow reference; the deepest or nearest of them is the one."""
+    scene = mat(contact={"electric_range": 0.2})
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    contact = contact_of(model)
+    state = model.coordinate_vector()
+    state.array[:] = 0.02 * rng.standard_normal(len(state.array))
+    margin = 0.3
+    contact.pair(state, margin)
+    contact.evaluate(state, tangent=False)
+    (p,) = contact.passes
+    position = model.coordinates + state.array_r.reshape(-1, model.block)[:, :3]
+    facets, own = position[p.slave.nodes], p.points.facet
+    points = np.einsum("mk,mkd->md", p.points.shape, facets[own])
+    normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
+    body = p.rule.body(p.slave.clump)
+    met = np.full(len(points), -1)
+    met[p.rows[p.met]] = p.visible.key[p.facet[p.met]]
+    chosen = rng.choice(len(points), 250, replace=False)
+    chosen = np.union1d(chosen, rng.choice(p.rows[p.met], 100, replace=False))
+    least, partner = np.full(len(points), np.inf), np.full(len(points), -1)
+    for other in range(8):
+        theirs = np.flatnonzero(body == other)
+        rows = chosen[body[own[chosen]] != other]
+        arguments = facets[theirs], p.slave.orientation[theirs], p.slave.key[theirs], p.depth
+        found = brute_force_facets(p.slave.kind, points[rows], normals[rows], *arguments)
+        rows, found = rows[found >= 0], theirs[found[found >= 0]]
+        seen = project(p.slave.kind, points[rows], facets[found], p.slave.orientation[found])
+        gap = seen.gap
+        # The closest point of a warped facet's plane may lie far from a facet that the point is not over.
+        nearer = (gap < least[rows]) & (p.slave.kind.overshoot(seen.xi) < 0.2)
+        least[rows[nearer]], partner[rows[nearer]] = gap[nearer], p.slave.key[found[nearer]]
+    # A point further off than it can act need not know its partner.
+    near = chosen[(least[chosen] < p.law.reach) & (partner[chosen] >= 0)]
+    assert len(near) > 50
+    np.testing.assert_array_equal(met[near], partner[near])
+
+
+@pytest.mark.mpi
+def test_what_comes_near_is_found_without_a_search_of_all(
+    comm: MPI.Comm, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fibers that move about: the points that may act are those of surfaces paired anew."""
+    scene = mat(contact={"electric_range": 0.02, "smoothing": True})
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    contact, anew = contact_of(model), contact_of(model)
+    looked = []
+    monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[1])), closest_facets(*a))[1])
+    state = model.coordinate_vector()
+    motion, margin = np.zeros((len(model.part_size), model.block)), 1.2
+    work, acting, new = np.zeros(2, int), [], 0
+    for step in range(8):
+        if step:
+            motion[:, :3] = np.clip(motion[:, :3] + 0.02 * rng.standard_normal((len(motion), 3)), -0.15, 0.15)
+        state.array[:] = motion[model.node_part[: model.owned]].ravel()
+        found = []
+        for i, c in enumerate((contact, anew)):
+            if i or not step:
+                c.pair(state, margin)
+            looked.clear()
+            c.evaluate(state, tangent=False)
+            work[i] += sum(looked)
+            (p,) = c.passes
+            gap = np.full(len(p.points.weight), np.inf)
+            gap[p.rows[p.met]] = p.projection.gap
+            found.append(gap)
+        assert not contact.outgrown
+        acts = found[1] < p.law.reach
+        # At the edge of an end a partner is kept that a point paired anew would not take any more: it is deeper in.
+        assert (found[0][acts] < p.law.reach + 0.01).all()
+        same = np.isclose(found[0][acts], found[1][acts], atol=1e-3)
+        # A rank may have none of them: which cells are whose depends on the machine.
+        agree, all_of_them = comm.allreduce(same.sum()), comm.allreduce(len(same))
+        assert agree > 0.9 * all_of_them > 0
+        acting.append(acts)
+        new += int((acts & ~acting[0]).sum())
+    assert comm.allreduce(new) > 200
+    assert comm.allreduce(int(work[0])) < 0.6 * comm.allreduce(int(work[1]))
+
+
+@pytest.mark.slow
+@pytest.mark.mpi
+def test_a_pressed_mat_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path: Path) -> None:
+    """And every force on its way through the mat is balanced."""
+    alone = comm.bcast(run(pressed(), MPI.COMM_SELF).history if comm.rank == 0 else None)
+    history = run(pressed(), comm, shared_tmp_path).history
+    # In the first step next to nothing is pressed yet, and weak springs alone say where the fibers are.
+    assert_equal(history[1:], alone[1:])
+    last = history[-1]
+    assert last["force_z@lid"] < -0.1 and last["stabilization"] < 1e-3 * last["elastic"]
+    assert not any("contact_area@ply" in name for name in last)
+    with (shared_tmp_path / "pairs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["step"] for row in rows} == {"1", "2"}
+    touching = [row for row in rows if row["step"] == "2" and float(row["contact_area"]) > 0.0]
+    assert len(touching) == 12
+    assert all(float(row["max_pressure"]) > 0.0 for row in touching)
+    total = {f"ply_{i}_fiber_{j}": 0.0 for i in range(1, 5) for j in (1, 2)}
+    for row in touching:
+        for name, sign in zip(row["pair"].split("-"), (1.0, -1.0), strict=True):
+            total[name] += sign * float(row["contact_force_z"])
+    # The plies in between are in balance, the first carries all and the last is pressed.
+    for name, force in total.items():
+        ply = int(name[4])
+        expected = {1: last["force_z@lid"] / 2, 4: -last["force_z@lid"] / 2}.get(ply, 0.0)
+        assert force == pytest.approx(expected, abs=2e-3 * abs(last["force_z@lid"]))
+
+
+def test_nothing_meets_where_there_is_nothing() -> None:
+    none, clump = np.zeros((0, 4, 3)), np.zeros(0, np.int64)
+    found = Meetings.near(np.zeros((5, 3)), np.zeros(5, np.int64), none, clump, 1.0, ONE_TO_ONE)
+    assert not found.points and not len(found.clump)
+    some = np.zeros((2, 4, 3))
+    assert not Meetings.near(np.zeros((0, 3)), clump, some, np.full(2, 3), 1.0, ONE_TO_ONE).points
+
+
+def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
+    """Kinds of bodies are paired with themselves and each other; one pass has the lower body for a slave."""
+    both = mat(bodies={"*": "pvdf", "fiber_2": "elastic", "fiber_5": "elastic"})
+    contact = contact_of(Model(both, create(comm, both.geometry, both.sizes)))
+    assert len(contact.passes) == 4
+    assert sum(p.law.electric_penalty is not None for p in contact.passes) == 1
+    once = mat(contact={"passes": 1})
+    model = Model(once, create(comm, once.geometry, once.sizes))
+    contact = contact_of(model)
+    state = model.coordinate_vector()
+    state.array[:] = 0.0
+    contact.pair(state, 0.3)
+    contact.evaluate(state, tangent=False)
+    (p,) = contact.passes
+    slave, master = p.rule.body(p.slave.clump[p.points.facet[p.rows[p.met]]]), p.rule.body(p.met_clump())
+    assert len(p.met) > 20 and (slave < master).all() and p.share == 1.0
