@@ -19,11 +19,11 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-from piezomat.results.atomic import on_root
+from piezomat.meshes.parallel import on_root
 from piezomat.scene import toml as scene_file
 from piezomat.scene.errors import named
 from piezomat.scene.scene import MeshError, Scene, SceneError, mesh_error, schema
-from piezomat.startup import importing
+from piezomat.usage import importing
 
 DONE, FAILED, WRONG_SCENE, NOT_CONVERGED = 0, 1, 2, 3
 

@@ -17,13 +17,14 @@ from typing import Any
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import left_alone, touching_bodies
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
+from piezomat.meshes.parallel import on_root
 from piezomat.progress import Progress
 from piezomat.results import restart
-from piezomat.results.atomic import on_root, replacing
+from piezomat.results.atomic import replacing
 from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import Results
 from piezomat.results.quantities import Balance, columns, pair_columns, pair_table, row
@@ -84,7 +85,7 @@ def run(
             bodies = _mesh(scene, comm, out, resume, saved, partition)
         with timer("setup"):
             model = Model(scene, bodies)
-            contact = contact_of(model)
+            contact = interfaces_of(model)
         problem = Problem(model, contact, timer)
         newton = Newton(problem, scene.solver)
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks)
@@ -279,7 +280,7 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
         model = Model(scene, bodies)
-        return plan_text(model, contact_of(model))
+        return plan_text(model, interfaces_of(model))
 
 
 def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:

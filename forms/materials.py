@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from piezomat.forms.arrays import Array
+
 Plane = Literal["strain", "stress"]
 
 VACUUM_PERMITTIVITY = 8.8541878128e-6  # pC/(V um), CODATA 2018

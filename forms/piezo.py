@@ -44,7 +44,7 @@ class Load:
     charge_density: Any = None
 
 
-def law_field(
+def constitutive_field(
     mesh: Any,
     laws: Sequence[NDArray[np.float64]],
     cell_law: NDArray[np.int32],
@@ -96,7 +96,7 @@ def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
 
 
 def law_matrix(law: Any, size: int) -> Any:
-    """UFL matrix M (size, size) of the cellwise `law_field`; raises ValueError if the two do not fit."""
+    """UFL matrix M (size, size) of the cellwise `constitutive_field`; raises ValueError if the two do not fit."""
     if law.ufl_shape != (size * (size + 1) // 2,):
         raise ValueError(f"a law of {law.ufl_shape[0]} entries does not fit a state of {size} components")
     entry = {pair: law[number] for number, pair in enumerate(zip(*np.triu_indices(size), strict=True))}
@@ -104,7 +104,7 @@ def law_matrix(law: Any, size: int) -> Any:
 
 
 def enthalpy(w: Any, law: Any, kinematics: Kinematics) -> Any:
-    """UFL density 1/2 s.M.s in pJ/um3 of w with the `law_field`; raises ValueError if the two do not fit."""
+    """UFL density 1/2 s.M.s in pJ/um3 of w with the `constitutive_field`; raises ValueError if the two do not fit."""
     s = strain_and_field(w, kinematics)
     return 0.5 * ufl.inner(s, law_matrix(law, len(s)) * s)
 

@@ -20,7 +20,8 @@ from piezomat.meshes.gmsh_io import extract as read_out
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.extract import Arrays, not_facets
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile, blaming, load
-from piezomat.meshes.gmsh_io.model import GEOMETRY, MeshError
+from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.meshes.parallel import only_on_root
 from piezomat.meshes.shapes.base import Shape
 
 Partition = Callable[[NDArray[np.float64], NDArray[np.int32], int], NDArray[np.int32]]
@@ -59,26 +60,8 @@ def create(
     Raises MeshError on all ranks.
     """
     with blaming(geometry.file) if isinstance(geometry, MeshFile) else nullcontext():
-        arrays = on_root(comm, lambda: arrays_of(geometry, sizes, save))
+        arrays = only_on_root(comm, lambda: arrays_of(geometry, sizes, save))
         return distribute(comm, arrays, partition)
-
-
-def on_root(comm: MPI.Comm, work: Callable[[], Any]) -> Any:
-    """Result of `work` on rank 0, None elsewhere. Collective.
-
-    What it raises there is raised on the other ranks as MeshError.
-    """
-    result, failure = None, None
-    try:
-        result = work() if comm.rank == 0 else None
-    except Exception as error:
-        failure = (str(error), getattr(error, "key", GEOMETRY))
-        raise
-    finally:
-        failure = comm.bcast(failure)
-    if failure is not None:
-        raise MeshError(*failure)
-    return result
 
 
 def arrays_of(geometry: Shape | MeshFile, sizes: MeshSizes, save: Path | None = None) -> Arrays:

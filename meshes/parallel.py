@@ -1,36 +1,85 @@
-"""Entries of distributed vectors that a rank needs, whoever holds them."""
+"""What ranks do together: sums over all, and work of one rank whose failure every rank learns of."""
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
-from petsc4py import PETSc
 
-Array = NDArray[np.float64]
+from piezomat.forms.arrays import Array
+
+T = TypeVar("T")
 
 
-class Exchange:
-    """Takes some entries of distributed vectors to this rank and gives them back. Every method is collective."""
+def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """What `action()` returns on rank 0, on every rank. Collective.
 
-    def __init__(self, vector: PETSc.Vec, entries: PETSc.IS) -> None:
-        """`vector` is laid out like those to come; `entries` are this rank's choice, global numbers."""
-        self._local = PETSc.Vec().createSeq(entries.getSize(), comm=MPI.COMM_SELF)
-        self._scatter = PETSc.Scatter().create(vector, entries, self._local, None)
+    An exception of `action` is raised on every rank, so that no rank waits for one that has failed.
+    """
+    return comm.bcast(only_on_root(comm, action))
 
-    def take(self, vector: PETSc.Vec) -> Array:
-        """The entries of a vector."""
-        self._scatter.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-        return self._local.array.copy()
 
-    def add(self, values: Array, result: PETSc.Vec) -> None:
-        """Add values to the entries of a vector; what several ranks give to one is summed."""
-        self._give(values, result, PETSc.InsertMode.ADD_VALUES)
+def only_on_root(comm: MPI.Comm, action: Callable[[], T]) -> T | None:
+    """What `action()` returns on rank 0, None elsewhere: for results too large to send. Collective.
 
-    def raise_to(self, values: Array, result: PETSc.Vec) -> None:
-        """Raise the entries of a vector to values, the largest of what several ranks give to one."""
-        self._give(values, result, PETSc.InsertMode.MAX_VALUES)
+    An exception of `action` is raised on every rank.
+    """
+    result: T | None = None
+    failure: Exception | None = None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except Exception as error:
+            failure = error
+    received = comm.bcast(None if failure is None else _portable(failure))
+    if received is not None:
+        raise received if failure is None else failure
+    return result
 
-    def _give(self, values: Array, result: PETSc.Vec, mode: PETSc.InsertMode) -> None:
-        self._local.array[:] = values
-        self._scatter.scatter(self._local, result, mode, PETSc.ScatterMode.REVERSE)
+
+def on_all(comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """What `action()` returns on each rank; its exception on any rank is raised on every rank. Collective."""
+    result: T | None = None
+    failure: Exception | None = None
+    try:
+        result = action()
+    except Exception as error:
+        failure = _portable(error)
+    failures = [f for f in comm.allgather(failure) if f is not None]
+    if failures:
+        raise failures[0]
+    return result  # type: ignore[return-value]
+
+
+def _portable(error: Exception) -> Exception:
+    """The exception, or its words alone if it cannot be sent to other ranks."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def total(comm: MPI.Comm, values: Array) -> Array:
+    """Sum of the ranks' arrays of one shape."""
+    return _reduce(comm, values, MPI.SUM)
+
+
+def largest(comm: MPI.Comm, values: Array) -> Array:
+    """Largest of the ranks' entries."""
+    return _reduce(comm, values, MPI.MAX)
+
+
+def least(comm: MPI.Comm, values: Array) -> Array:
+    """Least of the ranks' entries."""
+    return _reduce(comm, values, MPI.MIN)
+
+
+def _reduce(comm: MPI.Comm, values: Array, operation: MPI.Op) -> Array:
+    sent = np.ascontiguousarray(values, np.float64)
+    result = np.empty_like(sent)
+    comm.Allreduce(sent, result, op=operation)
+    return result

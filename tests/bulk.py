@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 
-Array = NDArray[np.float64]
 DIMENSION = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind
 from piezomat.forms.contact.gap import Projection, Variations, project, variations
 
-Array = NDArray[np.float64]
 KINDS = ("line2", "line3", "tri3", "tri6", "quad4", "quad9")
 
 

@@ -8,12 +8,9 @@ from typing import Any
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
 
 from piezomat.scene.scene import Scene
 from piezomat.simulation import Run
-
-Array = NDArray[np.float64]
 
 
 def press(geometry: dict[str, Any], **sections: Any) -> Scene:

@@ -17,13 +17,11 @@ from piezomat.contact.interfaces import Contact
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.energy import grounding_form, stored_energies
 from piezomat.forms.piezo import internal_form, load_tangent, tangent_form
-from piezomat.memory import give_back_memory
-from piezomat.meshes import reductions
-from piezomat.usage import Timer
-
-Array = NDArray[np.float64]
+from piezomat.meshes import parallel
+from piezomat.usage import Timer, give_back_memory
 
 # Springs that hold a floating part where it was at the last converged step: its stiffness over its size squared.
 GROUNDING = 1e-8
@@ -69,7 +67,7 @@ class Problem:
         self.start = self.state.duplicate()  # the last converged state
         self._work = self.state.duplicate()  # new vectors in each iteration would stay until garbage is collected
         self._terms: ContactTerms | None = None
-        self.snap_work: Array | None = None  # of the last part of a step, if it snapped
+        self.snap_through_work: Array | None = None  # of the last part of a step, if it snapped
         self.linear = contact is None and not self.finite
         length = float(model.part_size.max())
         stiffest = contact.stiffest if contact is not None else 0.0
@@ -209,7 +207,7 @@ class Problem:
         parts = [values[:, : self.model.dim].sum()]
         if self.model.electric:
             parts.append(values[:, -1].sum())
-        return np.sqrt(reductions.total(self.comm, np.array(parts)))
+        return np.sqrt(parallel.total(self.comm, np.array(parts)))
 
     @property
     def loaded(self) -> bool:
@@ -239,7 +237,7 @@ class Problem:
             return 1.0
         values = scale * self.state.array_r.reshape(-1, self.model.block)[:, -1]
         ends = np.array([values.max(initial=-np.inf), -values.min(initial=np.inf)])
-        return max(float(reductions.largest(self.comm, ends).sum()), ROUNDING * scale)
+        return max(float(parallel.largest(self.comm, ends).sum()), ROUNDING * scale)
 
     def motion(self, since: PETSc.Vec | None = None) -> float:
         """How far a node has moved since an earlier state, or since the step began, um: the largest component."""

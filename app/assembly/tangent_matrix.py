@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.forms import fenicsx
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from piezomat.forms.arrays import Array, Integers
 
 CHUNK = 100_000  # blocks
 

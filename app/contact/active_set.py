@@ -12,23 +12,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.contact.nodal_state import NodalState
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import respond
 from piezomat.forms.contact.laws.interface import Response
-from piezomat.meshes import reductions
+from piezomat.meshes import parallel
 
 if TYPE_CHECKING:
     from piezomat.contact.interfaces import Contact
-    from piezomat.contact.rigid_plane import PlanePass
-    from piezomat.contact.surface_pair import ContactPass
-
-Array = NDArray[np.float64]
+    from piezomat.contact.rigid_plane import RigidPlane
+    from piezomat.contact.surface_pair import SurfacePair
 
 
-def answer(p: ContactPass | PlanePass, at: NodalState, shift: tuple[Array, Array]) -> Response:
+def answer(p: SurfacePair | RigidPlane, at: NodalState, shift: tuple[Array, Array]) -> Response:
     """The law's response at the gaps and jumps of a pass's points, or at those foreseen; both get their `Shift`."""
     rows, gap, jump = p.rows[p.met], p.projection.gap, p.jump
     if p.foreseen is not None:
@@ -36,7 +34,7 @@ def answer(p: ContactPass | PlanePass, at: NodalState, shift: tuple[Array, Array
     return respond(p.law[rows], gap, jump, p.history[rows], shift, pulls=at.pulls, exact=at.exact)
 
 
-def first_answer(p: ContactPass | PlanePass) -> tuple[Array, Array]:
+def linearized_response(p: SurfacePair | RigidPlane) -> tuple[Array, Array]:
     """Slope and charge of a pass's points from which a linear law leads to its last response, now or as foreseen."""
     return (p.response.slope, p.response.charge) if p.foreseen is None else p.response.after(-p.foreseen)
 
@@ -54,7 +52,7 @@ def foresee(contact: Contact, change: PETSc.Vec) -> Array:
                 sums += _foresee(p, contact.at, nodal)
     except np.linalg.LinAlgError:
         sums[:] = np.nan
-    return np.sqrt(reductions.total(contact.comm, sums))
+    return np.sqrt(parallel.total(contact.comm, sums))
 
 
 def end(contact: Contact) -> None:
@@ -63,7 +61,7 @@ def end(contact: Contact) -> None:
         p.foreseen = None
 
 
-def _foresee(p: ContactPass | PlanePass, at: NodalState, change: Array) -> Array:
+def _foresee(p: SurfacePair | RigidPlane, at: NodalState, change: Array) -> Array:
     last, before = p.response, p.foreseen
     p.foreseen = p.first_changes(at, change)
     slope, charge = last.after(p.foreseen if before is None else p.foreseen - before)

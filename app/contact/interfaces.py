@@ -12,19 +12,18 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.contact.nodal_state import NodalState
-from piezomat.contact.rigid_plane import PlanePass
-from piezomat.contact.search import KEEP, KEPT, Search, find_partners
-from piezomat.contact.surface_pair import LARGEST_SHAPE, ContactPass, Pairs
-from piezomat.contact.terms import ContactTerms, no_terms, terms_of_pass, terms_of_plane
+from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.contact.search import KEEP, KEPT, Search, update_projections
+from piezomat.contact.surface_pair import LARGEST_SHAPE, Pairs, SurfacePair
+from piezomat.contact.terms import ContactTerms, no_terms, plane_terms, surface_terms
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.laws.interface import Drag
-from piezomat.meshes import reductions
-from piezomat.meshes.contact.global_search import Meetings, share_facets
+from piezomat.meshes import parallel
+from piezomat.meshes.contact.global_search import CandidatePairs, share_facets
 from piezomat.meshes.contact.local_search import near_points
 from piezomat.meshes.contact.overlap import deepest_overlap
-from piezomat.meshes.parallel import Exchange
-
-Array = NDArray[np.float64]
+from piezomat.meshes.ghost_scatter import GhostScatter
 
 log = logging.getLogger("piezomat")
 
@@ -47,8 +46,8 @@ class Contact:
         comm: MPI.Comm,
         space: Any,
         coordinates: PETSc.Vec,
-        passes: Sequence[ContactPass],
-        planes: Sequence[PlanePass],
+        passes: Sequence[SurfacePair],
+        planes: Sequence[RigidPlane],
         pairs: Pairs,
         potential_scale: float | None,
         along: PETSc.Vec | None = None,
@@ -58,7 +57,7 @@ class Contact:
         self.pairs = pairs
         self.passes = list(passes)
         self.planes = list(planes)
-        self.every: list[ContactPass | PlanePass] = [*passes, *planes]
+        self.every: list[SurfacePair | RigidPlane] = [*passes, *planes]
         self.space = space
         self.dim = space.mesh.geometry.dim
         self.components = space.dofmap.index_map_bs
@@ -68,7 +67,7 @@ class Contact:
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
         self.reach = comm.allreduce(max(p.law.reach for p in self.every), op=MPI.MAX)
         sizes = [np.log(p.size) for p in self.every]
-        total = reductions.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
+        total = parallel.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
         self._coordinates, self._along = coordinates, along
         # What this rank's slave and master facets are made of; what it sees besides changes with every pairing.
@@ -124,18 +123,18 @@ class Contact:
         self.outgrown = False
         self._keep, self._exact = KEEP[0][1], True
 
-    def _seen(self, numbers: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], Exchange, Array]:
+    def _seen(self, numbers: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], GhostScatter, Array]:
         """Nodes with these global numbers: each once, the exchange of their unknowns, where they are at first."""
         nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, numbers)]))
         wanted = PETSc.IS().createBlock(self.components, nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
-        exchange = Exchange(self._coordinates, wanted)
+        exchange = GhostScatter(self._coordinates, wanted)
         return nodes, exchange, exchange.take(self._coordinates).reshape(-1, self.components)[:, : self.dim]
 
-    def _meet_clumps(self, p: ContactPass, position: Array, margin: float) -> None:
+    def _meet_clumps(self, p: SurfacePair, position: Array, margin: float) -> None:
         """Find the points near facets that they may meet, and which clumps each of them is near."""
         points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
         facets = p.master_at(position)
-        boxed = Meetings.near(points, p.slave.clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
+        boxed = CandidatePairs.near(points, p.slave.clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
         near, p.candidates = [], []
         for rows, clump, own in zip(boxed.points, boxed.facets, boxed.own, strict=True):
             rows = rows[p.meets[rows]]
@@ -144,7 +143,9 @@ class Contact:
             close = p.candidates[-1].count(slaves) > 0 if own else near_points(points[rows], facets[clump], margin)
             near.append(rows[close])
         p.rows = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
-        p.meetings = Meetings(boxed.clump, boxed.own, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near])
+        p.meetings = CandidatePairs(
+            boxed.clump, boxed.own, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near]
+        )
 
     def settle(self, iteration: int, residual: float, *, loose: bool) -> None:
         """Prepare the tangent of a Newton iteration that starts at this relative residual.
@@ -170,7 +171,7 @@ class Contact:
         position = self._reference + values[:, : self.dim]
         displacement = values[:, : self.dim]
         motions = [np.abs(displacement - since).max(initial=0.0) for since in (self._paired_at, self._searched_at)]
-        moved, drift = reductions.largest(self.comm, np.array(motions))
+        moved, drift = parallel.largest(self.comm, np.array(motions))
         self.outgrown = moved > 0.5 * self.margin
         everywhere = search and (not self._searched or drift > DRIFT * self._facet)
         if everywhere:
@@ -190,9 +191,9 @@ class Contact:
         try:
             if not same:
                 for p in self.passes:
-                    find_partners(p, position, look)
-            of_passes = [terms_of_pass(p, at, tangent=tangent, dragged=self.dragged) for p in self.passes]
-            of_planes = [terms_of_plane(p, at, tangent=tangent) for p in self.planes]
+                    update_projections(p, position, look)
+            of_passes = [surface_terms(p, at, tangent=tangent, dragged=self.dragged) for p in self.passes]
+            of_planes = [plane_terms(p, at, tangent=tangent) for p in self.planes]
             failed = False
         except (np.linalg.LinAlgError, ValueError) as error:
             log.debug("contact cannot be evaluated at this state: %s", error)
@@ -214,7 +215,7 @@ class Contact:
     def _come_nearer(self, change: Array) -> None:
         """Note by how much things may have come nearer to each other, nodes having moved by `change` (n, d)."""
         bodies = max(len(self.pairs.bodies), 2)
-        motions = reductions.largest(self.comm, np.array([p.motions(change, bodies) for p in self.passes]))
+        motions = parallel.largest(self.comm, np.array([p.motions(change, bodies) for p in self.passes]))
         for p, moved in zip(self.passes, motions, strict=True):
             p.come_nearer(moved)
 
@@ -312,7 +313,7 @@ class Contact:
             p.history.opening[near] = advanced.opening
             p.remember()
 
-    def corner_sums(self, p: ContactPass | PlanePass, rows: NDArray[np.int64], values: Array) -> Array:
+    def corner_sums(self, p: SurfacePair | RigidPlane, rows: NDArray[np.int64], values: Array) -> Array:
         """Sums (f, k, ...) over all facets at the corners of this rank's: corner functions times values (m, ...)."""
         shape = corner_kind(p.slave.kind).shape(p.points.xi[rows])
         corners = p.slave_nodes[:, : shape.shape[1]]
@@ -386,7 +387,7 @@ class Contact:
             for r, rows in responses:
                 weight = p.share * p.points.weight[rows]
                 sums += [float(weight @ e) for e in (r.contact, r.adhesion, r.electric, r.dissipated)]
-        total = reductions.total(self.comm, sums)
+        total = parallel.total(self.comm, sums)
         return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
 
     def gather(self, vector: PETSc.Vec) -> Array:

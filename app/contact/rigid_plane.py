@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.contact.active_set import answer, first_answer
+from piezomat.contact.active_set import answer, linearized_response
 from piezomat.contact.nodal_state import NodalState
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import Shift
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.integrals import SlavePoints
@@ -22,8 +23,6 @@ from piezomat.forms.contact.smoothing import rounded, spread, to_corners
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.meshes.contact.local_search import FACING
 from piezomat.scene.sections import Plane
-
-Array = NDArray[np.float64]
 
 
 @dataclass
@@ -38,8 +37,8 @@ class PlaneProjection:
 
 
 @dataclass
-class PlanePass:
-    """The points of the bodies' surfaces against one plane; what it has in common with `ContactPass` is called alike.
+class RigidPlane:
+    """The points of the bodies' surfaces against one plane; what it has in common with `SurfacePair` is called alike.
 
     start, normal (d,): the plane at the beginning. offset (d,) and potential: its motion (um) and, of an electrode,
     its potential (V) at the present load level; last_offset: at the last converged one. `rows` are the points near it
@@ -173,7 +172,7 @@ class PlanePass:
         if self.jump is not None:
             first[:, 1, :, d] = at.scale * shape
         first = to_corners(kind, first, offsets[active])
-        slopes = np.stack(first_answer(self), axis=1)[active]
+        slopes = np.stack(linearized_response(self), axis=1)[active]
         vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
         if not tangent:
             return facet[active], nodes, vectors, None

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.contact.surface_pair import ContactPass
+from piezomat.contact.surface_pair import SurfacePair
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.contact.local_search import closest_facets
-
-Array = NDArray[np.float64]
 
 # A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
 # the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
@@ -38,7 +37,7 @@ class Search:
     drift: float
 
 
-def find_partners(p: ContactPass, position: Array, search: Search) -> None:
+def update_projections(p: SurfacePair, position: Array, search: Search) -> None:
     """Keep the facets of a pass's points as long as they project onto them, search for the others', and project.
 
     position (n, d): where the nodes are. Sets the pass's `facet`, `xi`, `found_beyond`, `clear`, `met`, `position` and
@@ -70,7 +69,7 @@ def find_partners(p: ContactPass, position: Array, search: Search) -> None:
     p.xi[p.met] = p.projection.xi
 
 
-def _look_for(p: ContactPass, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:
+def _look_for(p: SurfacePair, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:
     kind = p.slave.kind
     own = p.points.facet[p.rows[lost]]
     normals = np.zeros_like(points)

@@ -11,27 +11,25 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.rigid_plane import PlanePass
-from piezomat.contact.surface_pair import ContactPass, Pairs
+from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.contact.surface_pair import Pairs, SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
 from piezomat.forms.contact.laws.interface import Adhesion, InterfaceLaw, pull_in_range
 from piezomat.forms.contact.laws.lennard_jones import LennardJones
-from piezomat.meshes import reductions
+from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import distance_along
-from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, Rule, VisibleFacets
-from piezomat.meshes.contact.load_balance import SlaveFacets, even_ranks, sent
+from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, Rule
+from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks, sent
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.self_contact import FAR
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import SIDES, Plane
 from piezomat.scene.sections import Contact as ContactKeys
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 LISTED_BODIES = 6  # of more bodies, the pairs have no columns in the history
 # Default gap over which the electric contact fades out, in facet sizes. Measured on facing_halves and crossed_fibers:
@@ -42,7 +40,7 @@ FADE = 0.1
 NEAR = 0.1
 
 
-def contact_of(model: Model) -> Contact | None:
+def interfaces_of(model: Model) -> Contact | None:
     """The contact of a model; None without [contact] and [[planes]]. Collective. Raises SceneError on all ranks."""
     keys = model.scene.contact
     if keys is None and not model.scene.planes:
@@ -60,7 +58,7 @@ def contact_of(model: Model) -> Contact | None:
     return Contact(model.comm, model.space, x, passes, planes, pairs, scale, along)
 
 
-def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:
+def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:
     """Passes of the pairs that the scene names."""
     keys = model.scene.contact
     surfaces: dict[str, Surface] = {}
@@ -77,7 +75,7 @@ def _of_scene(model: Model) -> tuple[list[ContactPass], Pairs]:
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)))
 
 
-def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[ContactPass], Pairs]:
+def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair], Pairs]:
     """Passes of every two bodies that share no node: one for all bodies of a kind against all of another.
 
     With self-contact, given the `thickness` of parts, every two bodies, and each with itself. A kind is what the
@@ -141,12 +139,12 @@ def _fiber_thickness(model: Model) -> Array:
     outside = surface(model.space, "outside", fenicsx.exterior_facets(model.mesh), bodies.order)
     points = quadrature_points(outside.kind, outside.reference)
     part, parts = bodies.cell_part[outside.cells[points.facet]], len(bodies.part_bodies)
-    area = reductions.total(model.comm, np.bincount(part, points.weight, parts))
-    volume = reductions.total(model.comm, np.bincount(bodies.cell_part, fenicsx.cell_volumes(model.mesh), parts))
+    area = parallel.total(model.comm, np.bincount(part, points.weight, parts))
+    volume = parallel.total(model.comm, np.bincount(bodies.cell_part, fenicsx.cell_volumes(model.mesh), parts))
     return 2.0 * (model.dim - 1) * volume / area
 
 
-def _planes(model: Model, first_number: int) -> list[PlanePass]:
+def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     """The planes of the scene, which the outside of all bodies meets."""
     if not model.scene.planes:
         return []
@@ -158,14 +156,14 @@ def _planes(model: Model, first_number: int) -> list[PlanePass]:
     size, body = _facet_sizes(outside)[points.facet], body[points.facet]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
-    low = reductions.least(model.comm, model.coordinates.min(axis=0, initial=np.inf))
-    high = reductions.largest(model.comm, model.coordinates.max(axis=0, initial=-np.inf))
+    low = parallel.least(model.comm, model.coordinates.min(axis=0, initial=np.inf))
+    high = parallel.largest(model.comm, model.coordinates.max(axis=0, initial=-np.inf))
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]))
         electric = permittivity if plane.potential is not None else None
         law = _interface_law(model, keys, size, stiffness, electric, adhesive=False)
-        found.append(PlanePass(number, plane, start, normal, outside, points, law, size))
+        found.append(RigidPlane(number, plane, start, normal, outside, points, law, size))
     return found
 
 
@@ -223,14 +221,14 @@ def _pass(
     rule: Rule,
     first: bool,
     thickness: Array | None = None,
-) -> ContactPass:
+) -> SurfacePair:
     keys, comm = model.scene.contact, model.comm
     slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
     depth = _depth(model, slave, master)
     numbers = global_numbers(model.space, master.nodes)
-    masters = VisibleFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
+    masters = GhostFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
     slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
-    rank = even_ranks(comm, slaves, masters, master.reference, _motion(model) + NEAR * depth, rule)
+    rank = balanced_ranks(comm, slaves, masters, master.reference, _motion(model) + NEAR * depth, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = sent(comm, multiplicity(model.space, slave), rank) if unit else None
     slaves = slaves.sent(comm, rank)
@@ -244,7 +242,7 @@ def _pass(
     law = _interface_law(model, keys, size, stiffness, electric, adhesive=True)
     own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
     given = slaves, masters, frozenset(master_bodies), rule, points, law, 1.0 / keys.passes, first, size
-    return ContactPass(number, *given, depth, own_depth, keys.method == "segment")
+    return SurfacePair(number, *given, depth, own_depth, keys.method == "segment")
 
 
 def _motion(model: Model) -> float:

@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.contact.nodal_state import NodalState
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import Shift
 from piezomat.forms.contact.gap import Projection, project
 from piezomat.forms.contact.integrals import SlavePoints, first_changes
 from piezomat.forms.contact.laws.interface import Drag, History, InterfaceLaw, Response
 from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
 from piezomat.forms.contact.smoothing import rounded, spread
-from piezomat.meshes.contact.global_search import Meetings, Rule, VisibleFacets
+from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, Rule
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.meshes.contact.local_search import facing_pairs, near_pairs
 from piezomat.meshes.contact.self_contact import Candidates, OwnSurface, Sides
-
-Array = NDArray[np.float64]
 
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
@@ -52,7 +51,7 @@ class Pairs:
 
 
 @dataclass
-class ContactPass:
+class SurfacePair:
     """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
 
     A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by
@@ -76,7 +75,7 @@ class ContactPass:
 
     pair: int
     slave: SlaveFacets
-    master: VisibleFacets
+    master: GhostFacets
     master_bodies: frozenset[int]
     rule: Rule
     points: SlavePoints
@@ -91,9 +90,9 @@ class ContactPass:
     history: History = field(init=False)
     shift: Shift = field(init=False)
     drag: Drag = field(init=False)
-    meetings: Meetings = field(init=False)
+    meetings: CandidatePairs = field(init=False)
     candidates: list[Candidates | None] = field(init=False)
-    visible: VisibleFacets = field(init=False)
+    visible: GhostFacets = field(init=False)
     own: OwnSurface | None = field(init=False, default=None)
     rows: NDArray[np.int64] = field(init=False)
     facet: NDArray[np.int64] = field(init=False)

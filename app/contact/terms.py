@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.contact.active_set import answer, first_answer
+from piezomat.contact.active_set import answer, linearized_response
 from piezomat.contact.nodal_state import NodalState
-from piezomat.contact.rigid_plane import PlanePass
-from piezomat.contact.surface_pair import ContactPass
+from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.contact.surface_pair import SurfacePair
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.integrals import contact_vectors
 from piezomat.forms.contact.laws.interface import Response
-
-Array = NDArray[np.float64]
 
 
 @dataclass
@@ -29,14 +28,14 @@ class ContactTerms:
     matrices: Array | None
 
 
-def no_terms(p: ContactPass | PlanePass, components: int, *, tangent: bool) -> ContactTerms:
+def no_terms(p: SurfacePair | RigidPlane, components: int, *, tangent: bool) -> ContactTerms:
     """The terms of a pass where nothing is in contact."""
     n = 2 * p.slave.nodes.shape[1]
     matrices = np.zeros((0, n * components, n * components)) if tangent else None
     return ContactTerms(np.zeros((0, n), np.int64), np.zeros((0, n, components)), matrices)
 
 
-def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: bool) -> ContactTerms:
+def surface_terms(p: SurfacePair, at: NodalState, *, tangent: bool, dragged: bool) -> ContactTerms:
     """The terms of a pass whose points have met their partners; sets its `jump`, `gap`, `response` and `force`.
 
     dragged: whether the pass's drag counts.
@@ -55,7 +54,7 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: boo
         r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
         r.curvature = r.curvature + p.drag.stiffness[rows]
     active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
-    scaled, (slope, charge) = r, first_answer(p)
+    scaled, (slope, charge) = r, linearized_response(p)
     if p.jump is not None:
         scaled = Response(**{**r.__dict__, "charge": at.scale * r.charge, "mixed": at.scale * r.mixed})
         scaled.electric_curvature = at.scale**2 * r.electric_curvature
@@ -82,7 +81,7 @@ def terms_of_pass(p: ContactPass, at: NodalState, *, tangent: bool, dragged: boo
     return _sum_by_pair(facet * masters + partner, nodes, vectors, matrices)
 
 
-def terms_of_plane(p: PlanePass, at: NodalState, *, tangent: bool) -> ContactTerms:
+def plane_terms(p: RigidPlane, at: NodalState, *, tangent: bool) -> ContactTerms:
     """The terms of a plane, which is evaluated for them."""
     terms = _sum_by_pair(*p.evaluate(at, tangent=tangent))
     # A plane has no nodes: the second half of the pair of facets is the slave's again, where nothing is added.

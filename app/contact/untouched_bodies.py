@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.rigid_plane import PlanePass
+from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.model import Model
 
 
@@ -14,7 +14,7 @@ def touching_bodies(model: Model, contact: Contact) -> set[int]:
     found: set[int] = set()
     for p in contact.every:
         closed = p.gap <= p.law.rest
-        plane = isinstance(p, PlanePass)
+        plane = isinstance(p, RigidPlane)
         if not plane:
             closed &= ~p.met_own()  # what touches itself alone is alone
         facets = p.points.facet[p.rows[p.met[closed]]]

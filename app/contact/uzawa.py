@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezomat.contact.interfaces import Contact
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import together
-from piezomat.meshes import reductions
-
-Array = NDArray[np.float64]
+from piezomat.meshes import parallel
 
 
 def augment(contact: Contact, tolerance: float, potential_range: float) -> Array | None:
@@ -29,7 +27,7 @@ def augment(contact: Contact, tolerance: float, potential_range: float) -> Array
         gap, jump = np.abs(new.gap - p.shift.gap) / size[:, None], np.abs(new.jump - p.shift.jump) / potential_range
         worst = np.maximum(worst, [gap.max(initial=0.0), jump.max(initial=0.0)])
         after.append(new)
-    left = reductions.largest(contact.comm, worst)
+    left = parallel.largest(contact.comm, worst)
     if (left <= tolerance).all():
         return None
     for p, new in zip(contact.every, after, strict=True):

@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.integrals import nodal_points, quadrature_points
 from piezomat.forms.materials import Material
-from piezomat.forms.piezo import Load, boundary_loads, law_field
-from piezomat.meshes import reductions
+from piezomat.forms.piezo import Load, boundary_loads, constitutive_field
+from piezomat.meshes import parallel
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.contact.surface import node_coordinates, surface
 from piezomat.scene.errors import SceneError
 from piezomat.scene.scene import Boundary, Scene
-
-Array = NDArray[np.float64]
 
 HELD_TOLERANCE = 1e-8  # least eigenvalue, relative, of the constraints on a part's rigid modes that counts as held
 
@@ -76,7 +75,7 @@ class Model:
         self.block: int = self.dim + self.electric
         self.state = dolfinx.fem.Function(self.space)
         self.part_modulus = np.array([self._modulus(members) for members in bodies.part_bodies])
-        self.law = law_field(
+        self.law = constitutive_field(
             self.mesh,
             [m.law(self.dim, scene.model.plane) for m in self.materials],
             bodies.cell_body,
@@ -236,7 +235,7 @@ class Model:
         points = quadrature_points(group.kind, group.reference)
         normals = point_normals(group.kind, points.xi, group.reference[points.facet], group.orientation[points.facet])
         local = np.concatenate([[points.weight.sum()], points.weight @ normals])
-        total = reductions.total(self.comm, local)
+        total = parallel.total(self.comm, local)
         share = nodal_points(group.kind, group.reference)
         nodes = group.nodes[share.facet, share.place]
         return float(total[0]), total[1:], nodes, share.weight
@@ -323,7 +322,7 @@ class Model:
 
     def _sum_by_part(self, part: NDArray[np.int64], values: Array) -> Array:
         parts = len(self.bodies.part_bodies)
-        return reductions.total(self.comm, np.stack([np.bincount(part, v, parts) for v in values.T], axis=1))
+        return parallel.total(self.comm, np.stack([np.bincount(part, v, parts) for v in values.T], axis=1))
 
 
 def rigid_modes(x: Array) -> Array:

@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.results.files import Value, read_history
 from piezomat.results.vtk import STATUS, IndexEntry, ResultsError, read_index
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Cells of 2D meshes by VTK type: triangles between their nodes, and their edges from corner to corner.
 _TRIANGLES = {
@@ -44,12 +42,12 @@ class Bodies:
     stress (m, 6), body (m,); units as in `FieldPiece`.
     """
 
-    points: Floats
+    points: Array
     cells: Integers
     cell_type: int
-    displacement: Floats
-    potential: Floats | None
-    stress: Floats
+    displacement: Array
+    potential: Array | None
+    stress: Array
     body: Integers
 
     @property
@@ -63,7 +61,7 @@ class Bodies:
         return float(np.ptp(self.points, axis=0).max())
 
     @cached_property
-    def von_mises(self) -> Floats:
+    def von_mises(self) -> Array:
         """Von Mises stress at the nodes (n,), MPa: mean of the cells around each, body by body."""
         s11, s22, s33, s23, s13, s12 = self.stress.T
         shear = s23**2 + s13**2 + s12**2
@@ -85,7 +83,7 @@ class Bodies:
         _, first, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
         return edges[first[count == 1]]
 
-    def vtk(self, points: Floats, scalars: Floats) -> Any:
+    def vtk(self, points: Array, scalars: Array) -> Any:
         """The cells as a pyvista UnstructuredGrid at other points, with nodal `scalars`."""
         import pyvista
 
@@ -101,10 +99,10 @@ class Bodies:
 class Contact:
     """The contact points of all ranks at a step (see `ContactPoints`)."""
 
-    position: Floats
-    normal: Floats
-    gap: Floats
-    pressure: Floats
+    position: Array
+    normal: Array
+    gap: Array
+    pressure: Array
     status: Integers
     pair: Integers
 
@@ -126,7 +124,7 @@ class Contact:
         return self.of(self.pair == pairs[best])
 
     @cached_property
-    def axes(self) -> tuple[Floats, Floats, Floats]:
+    def axes(self) -> tuple[Array, Array, Array]:
         """Mean normal, pointing along its largest component, and two directions across it, as `frame`."""
         signed = self.normal * np.where(self.normal @ self.normal[0] < 0, -1.0, 1.0)[:, None]
         weight = self.closed if self.closed.any() else np.ones(len(self.gap), bool)
@@ -168,7 +166,7 @@ class Run:
             return "-".join(bodies[i] for i in divmod(number, len(bodies)))
         return planes[number - beyond] if number - beyond < len(planes) else f"pair {number + 1}"
 
-    def column(self, name: str) -> Floats:
+    def column(self, name: str) -> Array:
         """A column of the history, 0 for what is not finite. ResultsError: an entry is no number."""
         try:
             values = np.array([float(row[name]) for row in self.history])
@@ -177,7 +175,7 @@ class Run:
         return np.nan_to_num(values)
 
 
-def frame(normal: Floats) -> tuple[Floats, Floats, Floats]:
+def frame(normal: Array) -> tuple[Array, Array, Array]:
     """Unit normal n (its largest component positive) and t1, t2 across it, t1 nearest the first free axis."""
     largest = int(np.argmax(np.abs(normal)))
     unit = normal / np.linalg.norm(normal) * (1.0 if normal[largest] > 0 else -1.0)
@@ -281,7 +279,7 @@ def _read_bodies(directory: Path, entry: IndexEntry) -> Bodies | None:
     )
 
 
-def _merge(points: Floats, cells: Integers, body: Integers) -> tuple[Integers, Integers]:
+def _merge(points: Array, cells: Integers, body: Integers) -> tuple[Integers, Integers]:
     """Nodes that stand for all at the same place in the same body, and the cells in their numbers.
 
     Copies of a node on several ranks have the same coordinates to the last bit.
@@ -311,7 +309,7 @@ def _read_contact(directory: Path, entry: IndexEntry) -> Contact | None:
     )
 
 
-def prefixed(values: Sequence[float] | Floats, unit: str) -> tuple[float, str]:
+def prefixed(values: Sequence[float] | Array, unit: str) -> tuple[float, str]:
     """Factor and unit with an SI prefix in which the largest of `values`, given in `unit`, is 1 to 1000.
 
     `unit` may have a prefix, and a divisor that stays: "µN/µm" may become "nN/µm".
@@ -328,7 +326,7 @@ def prefixed(values: Sequence[float] | Floats, unit: str) -> tuple[float, str]:
     return float(10.0 ** (own - power)), f"{_PREFIXES[power]}{match['unit']}{match['rest']}"
 
 
-def magnification(displacement: Floats, size: float) -> float:
+def magnification(displacement: Array, size: float) -> float:
     """1 if the largest displacement is 2 % of the size or more, else a round factor to make it 2 to 5 %."""
     largest = float(np.linalg.norm(displacement, axis=1).max(initial=0.0))
     if largest >= 0.02 * size or largest <= 1e-12 * size:

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from piezomat.pictures.data import Bodies, Contact, Floats, Integers, Run, magnification, prefixed, read_run
+from piezomat.pictures.data import Array, Bodies, Contact, Integers, Run, magnification, prefixed, read_run
 from piezomat.pictures.plots import (
     DARK,
     GREY,
@@ -46,7 +46,7 @@ SLENDER = 8.0
 class Field(NamedTuple):
     """What colours the bodies: nodal values in the unit of the label, and their limits."""
 
-    values: Floats
+    values: Array
     label: str
     limits: tuple[float, float]
     extend: str
@@ -55,9 +55,9 @@ class Field(NamedTuple):
 class Zone(NamedTuple):
     """The contact zone: its centre, the directions in space drawn to the right and up, half its size."""
 
-    centre: Floats
-    right: Floats
-    up: Floats
+    centre: Array
+    right: Array
+    up: Array
     half: tuple[float, float]
 
 
@@ -200,14 +200,14 @@ def _draw_bodies(ax: Any, bodies: Bodies, field: Field, zone: Zone | None) -> No
         ax.add_patch(Rectangle(corner, *(2 * half), fill=False, edgecolor="black", zorder=6))
 
 
-def _draw_mesh_2d(ax: Any, bodies: Bodies, points: Floats, field: Field) -> None:
+def _draw_mesh_2d(ax: Any, bodies: Bodies, points: Array, field: Field) -> None:
     """Cells coloured by nodal values, and the bodies' outline."""
     for body in np.unique(bodies.body):
         _draw_values(ax, points, bodies.triangles(body), field.values, field)
     _draw_outline(ax, points, bodies.outline, color=DARK, linewidth=0.9, zorder=3)
 
 
-def _draw_values(ax: Any, points: Floats, triangles: Integers, values: Floats, field: Field) -> None:
+def _draw_values(ax: Any, points: Array, triangles: Integers, values: Array, field: Field) -> None:
     """Bands of values linear in each triangle (colours blended from its corners would be of no value)."""
     if len(triangles):
         ax.tricontourf(
@@ -216,7 +216,7 @@ def _draw_values(ax: Any, points: Floats, triangles: Integers, values: Floats, f
         )  # fmt: skip
 
 
-def _draw_outline(ax: Any, points: Floats, edges: Integers, **style: Any) -> None:
+def _draw_outline(ax: Any, points: Array, edges: Integers, **style: Any) -> None:
     ax.add_collection(LineCollection(points[edges][:, :, :2], capstyle="round", **style))
 
 

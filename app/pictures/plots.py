@@ -11,7 +11,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
-from piezomat.pictures.data import Contact, Floats, Run, prefixed
+from piezomat.forms.arrays import Array
+from piezomat.pictures.data import Contact, Run, prefixed
 from piezomat.results.vtk import STATUS
 
 PRESSURE_COLOURS = "plasma"
@@ -171,7 +172,7 @@ def draw_curves(ax: Any, run: Run, forces: list[tuple[str, str]], voltage: tuple
     _head(ax, title, lines, [line.get_label() for line in lines])
 
 
-def _curve(ax: Any, steps: Floats, values: Floats, text: str, unit: str, colour: str, style: str) -> list[Any]:
+def _curve(ax: Any, steps: Array, values: Array, text: str, unit: str, colour: str, style: str) -> list[Any]:
     """A curve, with marks where they can be told apart; a single mark carries its value."""
     style = style if len(steps) <= 60 else style[:-1]
     drawn = ax.plot(steps, values, style, color=colour, markersize=4 if len(steps) > 1 else 8, label=text)
@@ -207,7 +208,7 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def direction_name(direction: Floats) -> str:
+def direction_name(direction: Array) -> str:
     """Name of a direction in space: an axis if it is one."""
     largest = int(np.argmax(np.abs(direction)))
     if abs(direction[largest]) > 0.9999:

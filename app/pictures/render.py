@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.pictures.data import Bodies, Floats, Integers
+from piezomat.forms.arrays import Array, Integers
+from piezomat.pictures.data import Bodies
 
 VIEW = (1.0, -1.7, 0.9)  # from where the bodies are seen: axis z up, x to the right
 PIXELS = (1500, 1200)
@@ -23,12 +24,12 @@ class Image:
 
     pixels: NDArray[np.uint8]
     extent: tuple[float, float, float, float]
-    right: Floats
-    up: Floats
+    right: Array
+    up: Array
 
 
 def render(
-    bodies: Bodies, factor: float, scalars: Floats, limits: tuple[float, float], colours: str, outline: str
+    bodies: Bodies, factor: float, scalars: Array, limits: tuple[float, float], colours: str, outline: str
 ) -> Image:
     """The bodies displaced by `factor` times their displacement, coloured by nodal scalars within limits.
 
@@ -90,7 +91,7 @@ def render(
     return Image(np.asarray(pixels), (-width, width, -half[1], half[1]), right, up)
 
 
-def section(bodies: Bodies, scalars: Floats, origin: Floats, across: Floats) -> list[tuple[Floats, Integers, Floats]]:
+def section(bodies: Bodies, scalars: Array, origin: Array, across: Array) -> list[tuple[Array, Integers, Array]]:
     """Cut of the deformed bodies by the plane through `origin` normal to `across`.
 
     Of each body that it meets: points (n, 3), triangles (t, 3), scalars (n,).
@@ -106,7 +107,7 @@ def section(bodies: Bodies, scalars: Floats, origin: Floats, across: Floats) -> 
     return [(points, triangles[body == number], values) for number in np.unique(body)]
 
 
-def _surface(bodies: Bodies, points: Floats, scalars: Floats) -> Any:
+def _surface(bodies: Bodies, points: Array, scalars: Array) -> Any:
     """Surface of the bodies in triangles, sides of order-2 cells followed."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pyvista's notice of a default to come
@@ -114,7 +115,7 @@ def _surface(bodies: Bodies, points: Floats, scalars: Floats) -> Any:
     return surface.triangulate()
 
 
-def _view() -> tuple[Floats, Floats, Floats]:
+def _view() -> tuple[Array, Array, Array]:
     """Directions in space of the image's right, of its top, and towards the viewer."""
     towards = np.array(VIEW) / np.linalg.norm(VIEW)
     right = np.cross([0.0, 0.0, 1.0], towards)

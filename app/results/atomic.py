@@ -1,17 +1,11 @@
-"""Files that are never half-written, and work of rank 0 whose failure every rank learns of."""
+"""Files that are never half-written."""
 
 from __future__ import annotations
 
 import os
-import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
-
-from mpi4py import MPI
-
-T = TypeVar("T")
 
 
 @contextmanager
@@ -42,47 +36,6 @@ def write_text(path: Path, text: str) -> None:
     """Write `text` to `path` as a whole or not at all (`replacing`)."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
-    """What `action()` returns on rank 0, on every rank. Collective.
-
-    An exception of `action` is raised on every rank, so that no rank waits for one that has failed.
-    """
-    result: T | None = None
-    failure: Exception | None = None
-    if comm.rank == 0:
-        try:
-            result = action()
-        except Exception as error:
-            failure = _portable(error)
-    result, failure = comm.bcast((result, failure))
-    if failure is not None:
-        raise failure
-    return result  # type: ignore[return-value]
-
-
-def on_all(comm: MPI.Comm, action: Callable[[], T]) -> T:
-    """What `action()` returns on each rank; its exception on any rank is raised on every rank. Collective."""
-    result: T | None = None
-    failure: Exception | None = None
-    try:
-        result = action()
-    except Exception as error:
-        failure = _portable(error)
-    failures = [f for f in comm.allgather(failure) if f is not None]
-    if failures:
-        raise failures[0]
-    return result  # type: ignore[return-value]
-
-
-def _portable(error: Exception) -> Exception:
-    """The exception, or its words alone if it cannot be sent to other ranks."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return RuntimeError(f"{type(error).__name__}: {error}")
-    return error
 
 
 def _to_disk(path: Path) -> None:

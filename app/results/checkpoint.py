@@ -19,7 +19,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from piezomat.results.atomic import on_root, replacing
+from piezomat.meshes.parallel import on_root
+from piezomat.results.atomic import replacing
 
 Keyed = tuple[NDArray[np.int64], NDArray[Any]]
 

@@ -9,15 +9,14 @@ import ufl
 from numpy.typing import NDArray
 
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.rigid_plane import PlanePass
-from piezomat.contact.surface_pair import ContactPass
+from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.kinematics import deformation_gradient, push_forward
 from piezomat.forms.piezo import strain_and_field
 from piezomat.results.vtk import ContactPoints, FieldPiece, grid
-
-Array = NDArray[np.float64]
 
 
 class FieldOutput:
@@ -91,10 +90,10 @@ def contact_points(contact: Contact, electric: bool) -> ContactPoints:
     )
 
 
-def _pair_numbers(contact: Contact, p: ContactPass | PlanePass) -> NDArray[np.int64]:
+def _pair_numbers(contact: Contact, p: SurfacePair | RigidPlane) -> NDArray[np.int64]:
     """The place of each point's pair among the listed ones, its number where none are listed; then come planes."""
     pairs = contact.pairs
-    if isinstance(p, PlanePass):
+    if isinstance(p, RigidPlane):
         beyond = len(pairs.bodies) ** 2 if pairs.given is None and not pairs.listed else len(pairs.listed)
         return np.full(len(p.rows), beyond + contact.planes.index(p))
     number, _ = p.pairs_met(pairs)

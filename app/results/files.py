@@ -24,8 +24,8 @@ from mpi4py import MPI
 
 from piezomat import __version__
 from piezomat.forms import fenicsx
-from piezomat.memory import peak_memory_mb
-from piezomat.results.atomic import on_all, on_root, replacing, temporary_name, write_text
+from piezomat.meshes.parallel import on_all, on_root
+from piezomat.results.atomic import replacing, temporary_name, write_text
 from piezomat.results.vtk import (
     PIECE,
     STATUS,
@@ -38,7 +38,7 @@ from piezomat.results.vtk import (
     read_index,
     write_index,
 )
-from piezomat.usage import Timer
+from piezomat.usage import Timer, peak_memory_mb
 
 __all__ = [
     "STATUS",

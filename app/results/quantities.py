@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.rigid_plane import PlanePass
+from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.model import Condition, Model
-from piezomat.meshes import reductions
+from piezomat.forms.arrays import Array
+from piezomat.meshes import parallel
 from piezomat.solver.load_steps import Step, StepReport
-
-Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 ENERGIES = ("elastic", "electric", "contact", "adhesion", "stabilization", "external_work", "dissipated")
@@ -54,7 +52,7 @@ class Balance:
 
     The external work of a part is the mean of the nodal forces at its ends times the change of displacement plus the
     mean of the potentials times the change of charge. Where bonds snap forces change too much for that: see
-    `snap_work`.
+    `snap_through_work`.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -78,7 +76,7 @@ class Balance:
         for row, p in zip(values, planes, strict=True):
             row[:] = [*p.force, *p.offset, p.charge, p.potential or 0.0]
         answers = [*range(d), 2 * d]
-        values[:, answers] = reductions.total(self.problem.comm, values[:, answers])
+        values[:, answers] = parallel.total(self.problem.comm, values[:, answers])
         return values
 
     def take(self) -> None:
@@ -90,14 +88,14 @@ class Balance:
         new = new - problem.loads.array_r.reshape(-1, block)
         x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.start))
         work = 0.0
-        if problem.snap_work is None:
+        if problem.snap_through_work is None:
             work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
         if problem.model.electric:
             work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
         self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
-        if problem.snap_work is not None:
-            self.external_work += float(problem.snap_work[0])
-            self.stabilization += float(problem.snap_work[1])
+        if problem.snap_through_work is not None:
+            self.external_work += float(problem.snap_through_work[0])
+            self.stabilization += float(problem.snap_through_work[1])
         self._take_planes()
         self.stabilization += problem.grounding_work()
         self.forces.array[:] = new.ravel()
@@ -147,7 +145,7 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     for condition in conditions:
         for component, unknowns in condition.fixed.items():
             total[component] += problem.full.array_r[unknowns].sum()
-    total = reductions.total(model.comm, total)
+    total = parallel.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
     applied = sum(model.applied(condition, factors) for condition in conditions)
     return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
@@ -162,7 +160,7 @@ def _listed_pairs(contact: Contact, model: Model) -> dict[str, float]:
     return values
 
 
-def plane_values(contact: Contact, plane: PlanePass, electric: bool) -> dict[str, float]:
+def plane_values(contact: Contact, plane: RigidPlane, electric: bool) -> dict[str, float]:
     """Force that a plane exerts, area, largest pressure and penetration, charge of an electrode and its potential.
 
     Of an insulator the mean potential is that of the surfaces on it, nan where nothing touches it. Collective.
@@ -171,10 +169,10 @@ def plane_values(contact: Contact, plane: PlanePass, electric: bool) -> dict[str
     area = plane.points.area[plane.rows]
     closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
-    sums = reductions.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
+    sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
     pressure = -plane.response.slope * plane.points.weight[plane.rows] / area
     largest = np.array([pressure.max(initial=0.0), -gap.min(initial=0.0)])
-    largest = reductions.largest(contact.comm, largest)
+    largest = parallel.largest(contact.comm, largest)
     values = {f"force_{axis}@{plane.name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}
     values |= {f"contact_area@{plane.name}": float(sums[d + 1])}
     values |= {f"max_pressure@{plane.name}": float(largest[0]), f"max_penetration@{plane.name}": float(largest[1])}

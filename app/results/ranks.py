@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
-from piezomat.memory import peak_memory_mb
+from piezomat.usage import peak_memory_mb
 
 
 def shares(problem: Problem) -> dict[str, list[int]]:

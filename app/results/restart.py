@@ -12,11 +12,11 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Contact
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.results import checkpoint
 from piezomat.results.quantities import Balance, augments
 from piezomat.solver.load_steps import Stepper
 
-Array = NDArray[np.float64]
 Points = dict[str, tuple[NDArray[np.int64], Array]]
 
 

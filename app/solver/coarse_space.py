@@ -17,8 +17,6 @@ from petsc4py import PETSc
 
 from piezomat.discretization.model import Model, rigid_modes
 
-Array = NDArray[np.float64]
-
 NODES = 150.0  # in a box that a body fills; half as many or twice as many cost the same
 RELAXATION = 4.0 / 3.0  # over the largest eigenvalue of D^-1 A
 POWER_ITERATIONS, SAFETY = 12, 1.1  # how that eigenvalue is found, and by how much it may be larger

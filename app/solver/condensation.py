@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.memory import give_back_memory
-from piezomat.meshes import reductions
-from piezomat.meshes.parallel import Exchange
+from piezomat.forms.arrays import Array, Integers
+from piezomat.meshes import parallel
+from piezomat.meshes.ghost_scatter import GhostScatter
 from piezomat.solver.mumps_schur import SchurFactors
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from piezomat.usage import give_back_memory
 
 # How far apart surfaces are that may come to touch, over the largest motion that is prescribed: half of it for equal
 # bodies (Hertz), and more where they give.
@@ -50,7 +48,7 @@ class Condensation:
         self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
         unknowns = _unknowns(self._nodes, self.block)
         self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
-        self._exchange = Exchange(problem.state, PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF))
+        self._exchange = GhostScatter(problem.state, PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF))
 
     def update(self, limit: float) -> bool:
         """Take over the problem's last linearization; False if it has more than `limit` candidate unknowns.
@@ -178,7 +176,7 @@ class Condensation:
         """Whether no more of r is inside than what is rounding against `scale`."""
         inner = r.copy()
         inner[self._places] = 0.0
-        norms = reductions.largest(self.comm, np.array([np.abs(inner).max(initial=0.0), scale]))
+        norms = parallel.largest(self.comm, np.array([np.abs(inner).max(initial=0.0), scale]))
         return bool(norms[0] <= INTERIOR * norms[1])
 
     def solve(self, right: PETSc.Vec, result: PETSc.Vec) -> None:
@@ -187,7 +185,7 @@ class Condensation:
         outer = r[self._places]
         condensed = outer
         if not self.holds:
-            scale = float(reductions.largest(self.comm, np.array([np.abs(r).max(initial=0.0)]))[0])
+            scale = float(parallel.largest(self.comm, np.array([np.abs(r).max(initial=0.0)]))[0])
             if not self._balanced(r, scale):
                 condensed = outer + self._from_inside(r, scale)
         gathered = self.comm.gather((self._own, condensed))

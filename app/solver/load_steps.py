@@ -15,7 +15,7 @@ from piezomat.forms.contact.laws.interface import pull_in_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import NewtonReport, SolveError
-from piezomat.solver.snap_through import snap_work
+from piezomat.solver.snap_through import snap_through_work
 
 log = logging.getLogger("piezomat")
 
@@ -135,7 +135,7 @@ class Stepper:
                 problem.contact.give_up()
             raise
         self.last_motion = problem.motion()
-        problem.snap_work = snap_work(problem)
+        problem.snap_through_work = snap_through_work(problem)
         if problem.contact is not None:
             problem.contact.commit()
         committed(factors)

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-Array = NDArray[np.float64]
+from piezomat.forms.arrays import Array
 
 _library = ctypes.CDLL(petsc4py.PETSc.__file__)  # PETSc itself is linked to it
 

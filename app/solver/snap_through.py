@@ -6,19 +6,17 @@ import itertools
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.meshes import reductions
-
-Array = NDArray[np.float64]
+from piezomat.forms.arrays import Array
+from piezomat.meshes import parallel
 
 ACCURACY, HALVINGS = 1e-3, 7  # of the work on the way of a snap, and how often that is divided at most
 SNAPPED = 0.25  # share of a part's change of force times motion: what is set free beyond it, a snap sets free
 
 
-def snap_work(problem: Problem) -> Array | None:
+def snap_through_work(problem: Problem) -> Array | None:
     """Work from outside and what is set free, (2,) pJ, in a part of a step that snaps; None if none does. Collective.
 
     Along the straight line from `start` to the state these are the work of reactions and loads, and minus that of the
@@ -42,7 +40,7 @@ def snap_work(problem: Problem) -> Array | None:
         work = problem.displacements(problem.full) * change
         applied = problem.displacements(problem.loads) * change
         outside, free = (work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()
-        return reductions.total(problem.comm, np.array([outside, free]))
+        return parallel.total(problem.comm, np.array([outside, free]))
 
     values = [power(0.0)]
     energy, forces = _energy(problem, problem.start), problem.full.array_r.copy()

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind
 from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, FacetMaps
-
-Array = NDArray[np.float64]
 
 CURVED_ITERATIONS = 20
 CLOSEST_POINT_TOLERANCE = 1e-13

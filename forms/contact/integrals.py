@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import Projection, variations
 from piezomat.forms.contact.laws.interface import Response
 from piezomat.forms.contact.smoothing import to_corners
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind, triangle_rule
 from piezomat.forms.contact.gap import project
 from piezomat.forms.contact.integrals import SlavePoints
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SAME = 1e-7  # cuts nearer to each other than this share of the facet are one: what they miss is its square

@@ -14,10 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.facets import FacetKind, facet_kind
-
-Array = NDArray[np.float64]
 
 # Corners at the ends of the sides, in the order of the added nodes.
 SIDES = {"line3": [(0, 1)], "tri6": [(1, 2), (0, 2), (0, 1)], "quad9": [(0, 1), (0, 2), (1, 3), (2, 3)]}

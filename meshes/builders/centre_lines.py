@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array, Integers
+
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 STEP = 0.5  # length of the straight pieces that distances are measured between, in radii
 STEEPEST = 70.0  # degrees between a fiber and a face's normal up to which its end is cut flush with the face

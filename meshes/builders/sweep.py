@@ -9,15 +9,12 @@ from dataclasses import dataclass
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.builders.centre_lines import FLUSH_SHARE, RAMP, Face, Fiber
 from piezomat.meshes.builders.sections import Disc
 from piezomat.meshes.builders.sizes import Size
 from piezomat.meshes.builders.structured import BOXES, GMSH_TYPE, SIMPLICES, merged
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # The prism over a triangle a, b, c (in the order of its numbers), cut into tetrahedra: (corner, level) of each node.
 # Every side of the prism is cut from its lower to its higher number, so that neighbours match.

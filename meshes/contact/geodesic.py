@@ -14,11 +14,9 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import dijkstra
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.contact.surface import global_numbers, node_coordinates
-from piezomat.meshes.parallel import Exchange
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from piezomat.meshes.ghost_scatter import GhostScatter
 
 
 def distance_along(space: Any, node_part: Integers, parts: int) -> Array:
@@ -89,7 +87,7 @@ def _least_over_ranks(space: Any) -> Callable[[Array], Array]:
     nodes = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
     numbers = global_numbers(space, nodes).astype(PETSc.IntType)
     whole = PETSc.Vec().createMPI((index_map.size_local, None), comm=space.mesh.comm)
-    exchange = Exchange(whole, PETSc.IS().createGeneral(numbers, comm=MPI.COMM_SELF))
+    exchange = GhostScatter(whole, PETSc.IS().createGeneral(numbers, comm=MPI.COMM_SELF))
 
     def least(values: Array) -> Array:
         whole.array[:] = -np.inf

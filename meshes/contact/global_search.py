@@ -15,8 +15,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from piezomat.forms.arrays import Array, Integers
 
 CLUSTER = 64  # facets, or points, in a box of the coarse search
 
@@ -57,7 +56,7 @@ SLAVE, MASTER = 0, 3
 
 
 @dataclass(frozen=True)
-class VisibleFacets:
+class GhostFacets:
     """Master facets that a rank can see, from every rank.
 
     nodes (f, n) global, orientation (f,), key (f,), clump (f,), rounding (f, k, d) as of `Surface`.
@@ -72,8 +71,8 @@ class VisibleFacets:
     def __len__(self) -> int:
         return len(self.nodes)
 
-    def __getitem__(self, rows: NDArray) -> VisibleFacets:
-        return VisibleFacets(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+    def __getitem__(self, rows: NDArray) -> GhostFacets:
+        return GhostFacets(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
@@ -130,11 +129,11 @@ def share_facets(
     comm: MPI.Comm,
     slave_positions: Array,
     slave_clump: Integers,
-    master: VisibleFacets,
+    master: GhostFacets,
     master_positions: Array,
     margin: float,
     rule: Rule,
-) -> VisibleFacets:
+) -> GhostFacets:
     """Master facets of all ranks that come within `margin` of slave facets of this rank that may meet them. Collective.
 
     slave_positions (f, n, d) and master_positions (f, n, d): current nodes of this rank's own facets; `master` are
@@ -155,12 +154,12 @@ def share_facets(
             near[members] |= inside.all(axis=1)
         parcels.append(master[near])
     received = comm.alltoall(parcels)
-    names = VisibleFacets.__dataclass_fields__
-    return VisibleFacets(*(np.concatenate([getattr(part, name) for part in received]) for name in names))
+    names = GhostFacets.__dataclass_fields__
+    return GhostFacets(*(np.concatenate([getattr(part, name) for part in received]) for name in names))
 
 
 @dataclass(frozen=True)
-class Meetings:
+class CandidatePairs:
     """What points are near: for each clump of facets its number, its facets, and the points that may meet it.
 
     Points that are of the same connected part, `own`, come by themselves.
@@ -174,7 +173,7 @@ class Meetings:
     @classmethod
     def near(
         cls, points: Array, point_clump: Integers, facets: Array, facet_clump: Integers, margin: float, rule: Rule
-    ) -> Meetings:
+    ) -> CandidatePairs:
         """Of points (m, d) and facets (f, n, d), all whose boxes come within `margin` of each other."""
         mine = Clusters.of(points, points, point_clump)
         theirs = Clusters.of(facets.min(axis=1), facets.max(axis=1), facet_clump)

@@ -9,12 +9,10 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
-from piezomat.meshes.contact.global_search import Clusters, Rule, VisibleFacets, overlapping
+from piezomat.meshes.contact.global_search import Clusters, GhostFacets, Rule, overlapping
 from piezomat.meshes.contact.surface import Surface, global_numbers
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 CLUSTER = 8  # neighbouring facets of a clump that stay together
 ALONE = 0.01  # what a facet that no other body is near costs, over one in contact
@@ -57,8 +55,8 @@ def sent(comm: MPI.Comm, rows: NDArray, rank: NDArray[np.int32]) -> NDArray:
     return np.concatenate(comm.alltoall([rows[rank == there] for there in range(comm.size)]))
 
 
-def even_ranks(
-    comm: MPI.Comm, slave: SlaveFacets, master: VisibleFacets, master_reference: Array, margin: float, rule: Rule
+def balanced_ranks(
+    comm: MPI.Comm, slave: SlaveFacets, master: GhostFacets, master_reference: Array, margin: float, rule: Rule
 ) -> NDArray[np.int32]:
     """The rank (f,) where each slave facet should go for all ranks to have as many that another body is near.
 

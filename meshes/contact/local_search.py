@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import facet_normal, point_normals, project
-
-Array = NDArray[np.float64]
 
 END_TOLERANCE = 0.1  # how far, in facet lengths, a point may slide off the end of a surface before it is let go
 FACING = -0.05  # cosine between two surfaces' outward normals below which they can press on each other

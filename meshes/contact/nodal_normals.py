@@ -9,13 +9,11 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.smoothing import curved_kind, rounded, rounding
 from piezomat.meshes.contact.surface import Surface, global_numbers
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 SHARP = 0.64  # cosine, of 50 degrees: facets that meet at a sharper edge keep it
 

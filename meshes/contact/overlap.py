@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import project
-
-Array = NDArray[np.float64]
 
 NEIGHBOURS = 12
 

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.contact.local_search import FACING
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Thicknesses along a part that are its own neighbourhood. The way through a fiber to its far side is shorter, although
 # it follows edges of cells; that along a fiber bent until it touches itself is longer unless its bend is narrower than

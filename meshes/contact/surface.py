@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind_of
 from piezomat.forms.contact.gap import point_normals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.centre_lines import Face, Fiber, Pieces, segment_distances
 
-Array = NDArray[np.float64]
 Faces = tuple[Face | None, Face | None]
 
 ROUNDS = 200  # of lifting a fiber off those below until it touches them without overlap

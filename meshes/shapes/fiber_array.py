@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.builders.extrude import Body, Frame, draw
 from piezomat.meshes.builders.sections import Disc
 from piezomat.meshes.builders.sizes import MeshSizes
 from piezomat.meshes.shapes.fiber_shape import CROSSING, NEAR, FiberShape, Outcome
 
-Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 

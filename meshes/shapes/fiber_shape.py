@@ -7,16 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.centre_lines import Fiber, crossings, near_places
 from piezomat.meshes.builders.sizes import PATCH, POINT, Grading, Line, MeshSizes
 from piezomat.meshes.builders.sweep import Section, add, sweep
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.shapes.base import Shape
-
-Array = NDArray[np.float64]
 
 NEAR = 0.1  # surfaces within this many radii (of the thinnest fiber) of each other are meshed as a place of contact
 CROSSING = 0.02  # and within this many they count as touching

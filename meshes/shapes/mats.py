@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.centre_lines import Face, Fiber
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes.deposition import Bed, Faces, lay_all
 from piezomat.meshes.shapes.fiber_shape import FiberShape
 
-Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0)]

@@ -7,7 +7,7 @@ import sys
 
 from mpi4py import MPI
 
-from piezomat.startup import importing
+from piezomat.usage import importing
 
 with importing():  # as the command line does
     from piezomat.scene.scene import Scene

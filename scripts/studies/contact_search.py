@@ -16,14 +16,12 @@ from time import process_time
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.gap import point_normals
-from piezomat.meshes.contact.global_search import Meetings, Rule, VisibleFacets, share_facets
+from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, Rule, share_facets
 from piezomat.meshes.contact.local_search import closest_facets, near_points
-
-Array = NDArray[np.float64]
 
 RADIUS, SPACING, GAP, MARGIN = 0.5, 2.0, 0.01, 0.3
 A_PLY, AROUND, ALONG = 10, 8, 10
@@ -61,14 +59,14 @@ def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
     raw = point_normals(kind, middle, nodes, np.ones(len(nodes)))
     sign = np.sign(np.einsum("md,md->m", raw, nodes.mean(axis=1) - inside))
     key = first * each + np.arange(len(nodes))
-    own = VisibleFacets(4 * key[:, None] + np.arange(4), sign, key, clump, nodes[:, :0])
+    own = GhostFacets(4 * key[:, None] + np.arange(4), sign, key, clump, nodes[:, :0])
     began = process_time()
     visible = share_facets(comm, nodes, clump, own, nodes, MARGIN, rule)
     low, high = int(visible.key.min()) // each, int(visible.key.max()) // each + 1
     facets = facets_of_plies(low, high)[visible.key - low * each]
     points, normals = nodes.mean(axis=1), raw * sign[:, None]
     found = 0
-    meetings = Meetings.near(points, clump, facets, visible.clump, MARGIN, rule)
+    meetings = CandidatePairs.near(points, clump, facets, visible.clump, MARGIN, rule)
     for rows, theirs in zip(meetings.points, meetings.facets, strict=True):
         near = rows[near_points(points[rows], facets[theirs], MARGIN)]
         facing = visible.orientation[theirs]

@@ -47,11 +47,11 @@ REASONS = {
 OTHER = "O: other, see the table"
 
 
-def minus_as_plus(contact_of: Any) -> Any:
+def minus_as_plus(interfaces_of: Any) -> Any:
     """The paper's printed sign of the electric term: a penalty below zero is its other sign."""
 
     def flipped(model: Any) -> Any:
-        contact = contact_of(model)
+        contact = interfaces_of(model)
         for p in contact.passes:
             if p.law.electric_penalty is not None:
                 p.law.electric_penalty[:] *= -1.0
@@ -71,7 +71,7 @@ def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {"method": method.name, "x": x, "y": y}
     start = time.perf_counter()
     try:
-        sign = minus_as_plus(simulation.contact_of) if method.plus else simulation.contact_of
+        sign = minus_as_plus(simulation.interfaces_of) if method.plus else simulation.interfaces_of
         with patch.object(simulation, "contact_of", sign):
             finished = simulation.run(study.scene(method, x, y), MPI.COMM_SELF)
         error = study.error(finished, x, y)

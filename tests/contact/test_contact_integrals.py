@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import CURVED_LINE, facet_kind
 from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, nodal_points, quadrature_points
 from piezomat.forms.contact.laws.interface import Adhesion, History, InterfaceLaw, Response
@@ -26,7 +26,6 @@ from piezomat.scene.scene import Scene
 from tests.bulk import assemble_matrix, assemble_vector
 from tests.facets import KINDS, PairBatch, warped_facets
 
-Array = NDArray[np.float64]
 each_kind = pytest.mark.parametrize("name", KINDS)
 
 
@@ -246,7 +245,7 @@ class Stack:
         )
         self.bodies = create(comm, scene.geometry, scene.sizes)
         self.model = Model(scene, self.bodies)
-        self.contact = contact_of(self.model)
+        self.contact = interfaces_of(self.model)
         only = self.contact.passes[0]
         self.upper, self.lower = np.unique(only.slave.nodes), np.unique(only.master.nodes)
         x = self.model.coordinates[:, : dim - 1]

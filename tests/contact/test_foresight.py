@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from piezomat.contact import active_set as foresight
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.integrals import first_changes
 from piezomat.meshes.body_mesh import create
@@ -49,7 +49,7 @@ def askew(**mesh: Any) -> Scene:
 def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Contact, Any, Any]:
     """The scene's contact, paired at a random state, that state and a random change of it."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     state, change = model.coordinate_vector(), model.coordinate_vector()
     state.array[:], change.array[:] = 0.05 * rng.standard_normal((2, len(state.array)))
     contact.pair(state, 10.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
 from piezomat.results.files import read_history
@@ -103,7 +103,7 @@ def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
     assert model.largest_voltage() == pytest.approx(voltage)
     stiffness = model.materials[0].mean_stiffness
     wanted = 3.0 * voltage * np.sqrt(PERMITTIVITY / stiffness)
-    for plane in contact_of(model).planes:
+    for plane in interfaces_of(model).planes:
         assert plane.law.fade == pytest.approx(np.maximum(0.1 * plane.size, wanted))
         assert len(np.unique(plane.law.fade)) == (1 if voltage == 100.0 else 2)
 
@@ -141,7 +141,7 @@ def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
             contact=None,
         )
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.array[:] = 0.02 * rng.standard_normal(len(state.array))
     # Wide enough that points in the fading part of the law count too.

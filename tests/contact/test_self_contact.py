@@ -10,12 +10,12 @@ import gmsh
 import numpy as np
 import pytest
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.geodesic import distance_along
@@ -23,8 +23,6 @@ from piezomat.meshes.contact.local_search import brute_force_facets
 from piezomat.scene.scene import Scene
 from piezomat.simulation import run
 from tests.histories import assert_equal
-
-Array = NDArray[np.float64]
 
 YOUNG, HEIGHT, GAP, PRESS, THIN = 1000.0, 1.0, 0.02, 0.05, 0.02
 PENALTY = 1e5
@@ -179,7 +177,7 @@ def test_a_hairpin_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path: Pat
 def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Contact, Array]:
     """A hairpin whose nodes (n, 3) have moved, its contact there, and where that has them."""
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     x, local = model.coordinates, np.zeros((len(model.coordinates), model.block))
     local[:, :3] = motion(x)
     state = model.coordinate_vector()
@@ -314,7 +312,7 @@ def test_nothing_of_straight_fibers_is_tried_against_themselves(cells: str, orde
         output=QUIET,
     )
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.set(0.0)
     contact.pair(state, 1.0)

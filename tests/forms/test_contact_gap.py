@@ -7,13 +7,12 @@ from math import factorial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind, facet_kind_of
 from piezomat.forms.contact.gap import facet_normal, project
 from tests.facets import KINDS, PairBatch, inner_points, rotation
 
-Array = NDArray[np.float64]
 each_kind = pytest.mark.parametrize("name", KINDS)
 STEP = 3e-4
 

@@ -7,11 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.interface import CUTOFF_DROP, RELEASE, Adhesion, History, InterfaceLaw, Response
-
-Array = NDArray[np.float64]
 
 STRENGTH, ENERGY, PENALTY, RHO, FADE = 5.0, 0.05, 2000.0, 0.3, 0.004
 ELASTIC = STRENGTH / PENALTY  # 0.0025 um

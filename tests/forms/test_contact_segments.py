@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind
 from piezomat.forms.contact.integrals import SlavePoints, quadrature_points
 from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
 from piezomat.meshes.contact.local_search import facing_pairs
-
-Array = NDArray[np.float64]
 
 REACH = 2.0  # every two facets of most tests are a pair
 KINDS = ["line2", "line3", "tri3", "tri6", "quad4", "quad9"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.interface import History, InterfaceLaw
 from piezomat.forms.contact.laws.lennard_jones import FAR, LennardJones
 from piezomat.scene.scene import Scene
@@ -14,8 +14,6 @@ from piezomat.simulation import run
 from piezomat.solver.load_steps import SNAP_CUTBACKS
 from tests.scenes import press
 from tests.verification import references as ref
-
-Array = NDArray[np.float64]
 
 STRENGTH, ENERGY, PENALTY = 5.0, 0.05, 2e5
 LAW = LennardJones.of(STRENGTH, ENERGY, np.array([PENALTY]))

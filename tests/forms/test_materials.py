@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.materials import (
     BUILT_IN,
     VACUUM_PERMITTIVITY,
@@ -17,7 +17,6 @@ from piezomat.forms.materials import (
     stress_rotation,
 )
 
-Array = NDArray[np.float64]
 PVDF = BUILT_IN["pvdf"]
 POLINGS = ([0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, -1], [1, 2, 3], [-0.3, 0.2, -0.9], [1, 1e-9, 0])
 

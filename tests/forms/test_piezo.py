@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.materials import BUILT_IN
 from piezomat.forms.piezo import (
     Load,
     boundary_loads,
+    constitutive_field,
     enthalpy,
     internal_form,
-    law_field,
     load_tangent,
     strain_and_field,
     tangent_form,
@@ -40,7 +40,6 @@ from tests.bulk import (
 
 pytestmark = pytest.mark.mpi
 
-Array = NDArray[np.float64]
 SCALE = 2000.0  # V, about sqrt(C33 / eps33) um of the ceramics
 
 
@@ -64,7 +63,7 @@ class Body:
         laws = [BUILT_IN[name].rotated([1, 2, 0.5]).law(self.dim) for name in names]
         cells = fenicsx.original_cells(self.mesh) % len(laws)
         self.scale = SCALE if electric else None
-        self.law = law_field(self.mesh, laws, cells.astype(np.int32), self.scale)
+        self.law = constitutive_field(self.mesh, laws, cells.astype(np.int32), self.scale)
         self.residual = internal_form(self.w, self.law, kinematics)
         self.density = dolfinx.fem.form(enthalpy(self.w, self.law, kinematics) * volume_measure(self.w))
 
@@ -197,7 +196,7 @@ def test_law_field_holds_the_scaled_upper_triangle_of_each_cell(comm: MPI.Comm) 
         ones = np.ones(size)
         ones[-dim:] = 7.0
         for scale, kept in ((7.0, size), (None, size - dim)):
-            law = law_field(mesh, laws, cells, scale)
+            law = constitutive_field(mesh, laws, cells, scale)
             assert law.function_space.dofmap.index_map_bs == kept * (kept + 1) // 2
             entries = law.x.array.reshape(-1, kept * (kept + 1) // 2)[fenicsx.dofmap(law.function_space)[:, 0]]
             weights = (ones if scale else ones * 0 + 1)[:kept]
@@ -208,7 +207,8 @@ def test_law_field_holds_the_scaled_upper_triangle_of_each_cell(comm: MPI.Comm) 
 
 def test_what_does_not_fit_is_refused(comm: MPI.Comm) -> None:
     body = Body(comm, "triangle", 1, "small")
-    elastic = law_field(body.mesh, [BUILT_IN["elastic"].law(2)], np.zeros(len(body.law.x.array) // 15, np.int32), None)
+    cells = np.zeros(len(body.law.x.array) // 15, np.int32)
+    elastic = constitutive_field(body.mesh, [BUILT_IN["elastic"].law(2)], cells, None)
     with pytest.raises(ValueError, match="a law of 6 entries does not fit a state of 5 components"):
         enthalpy(body.w, elastic, "small")
     with pytest.raises(ValueError, match='kinematics must be "small" or "finite", not "large"'):

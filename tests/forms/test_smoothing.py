@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.smoothing import rounded, spread
@@ -25,7 +25,6 @@ from tests.scenes import press
 from tests.verification.test_ranks import strips
 from tests.verification.test_segment_patch import patch, stress_error
 
-Array = NDArray[np.float64]
 RADIUS = 0.5
 
 

@@ -11,11 +11,11 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.contact import search as partners
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
-from piezomat.meshes.contact.global_search import ONE_TO_ONE, Clusters, Meetings, Rule, overlapping
+from piezomat.meshes.contact.global_search import ONE_TO_ONE, CandidatePairs, Clusters, Rule, overlapping
 from piezomat.meshes.contact.local_search import brute_force_facets, closest_facets
 from piezomat.scene.scene import Scene
 from piezomat.simulation import run
@@ -87,7 +87,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     """Against each other fiber in turn, by the slow reference; the deepest or nearest of them is the one."""
     scene = mat(contact={"electric_range": 0.2})
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.array[:] = 0.02 * rng.standard_normal(len(state.array))
     margin = 0.3
@@ -128,7 +128,7 @@ def test_what_comes_near_is_found_without_a_search_of_all(
     """Fibers that move about: the points that may act are those of surfaces paired anew."""
     scene = mat(contact={"electric_range": 0.02, "smoothing": True})
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    contact, anew = contact_of(model), contact_of(model)
+    contact, anew = interfaces_of(model), interfaces_of(model)
     looked = []
     monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[1])), closest_facets(*a))[1])
     state = model.coordinate_vector()
@@ -193,21 +193,21 @@ def test_a_pressed_mat_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path:
 
 def test_nothing_meets_where_there_is_nothing() -> None:
     none, clump = np.zeros((0, 4, 3)), np.zeros(0, np.int64)
-    found = Meetings.near(np.zeros((5, 3)), np.zeros(5, np.int64), none, clump, 1.0, ONE_TO_ONE)
+    found = CandidatePairs.near(np.zeros((5, 3)), np.zeros(5, np.int64), none, clump, 1.0, ONE_TO_ONE)
     assert not found.points and not len(found.clump)
     some = np.zeros((2, 4, 3))
-    assert not Meetings.near(np.zeros((0, 3)), clump, some, np.full(2, 3), 1.0, ONE_TO_ONE).points
+    assert not CandidatePairs.near(np.zeros((0, 3)), clump, some, np.full(2, 3), 1.0, ONE_TO_ONE).points
 
 
 def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     """Kinds of bodies are paired with themselves and each other; one pass has the lower body for a slave."""
     both = mat(bodies={"*": "pvdf", "fiber_2": "elastic", "fiber_5": "elastic"})
-    contact = contact_of(Model(both, create(comm, both.geometry, both.sizes)))
+    contact = interfaces_of(Model(both, create(comm, both.geometry, both.sizes)))
     assert len(contact.passes) == 4
     assert sum(p.law.electric_penalty is not None for p in contact.passes) == 1
     once = mat(contact={"passes": 1})
     model = Model(once, create(comm, once.geometry, once.sizes))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.array[:] = 0.0
     contact.pair(state, 0.3)

@@ -10,9 +10,10 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.body_mesh import create
@@ -22,14 +23,13 @@ from piezomat.meshes.contact.global_search import (
     ONE_TO_ONE,
     SLAVE,
     Clusters,
-    VisibleFacets,
+    GhostFacets,
     share_facets,
 )
 from piezomat.meshes.contact.local_search import END_TOLERANCE, brute_force_facets, closest_facets, near_points
 from piezomat.scene.scene import Scene
 from tests.facets import KINDS, rotation
 
-Array = NDArray[np.float64]
 RADIUS = 0.5
 each_kind = pytest.mark.parametrize("name", KINDS)
 
@@ -311,7 +311,7 @@ def test_every_rank_sees_the_facets_near_its_own(
     mine, theirs = slaves[slave_rank == comm.rank], master_rank == comm.rank
     numbers = np.arange(len(master.facets))[:, None] * 100 + np.arange(len(kind.nodes))
     clump, flat = np.full(theirs.sum(), MASTER), master.facets[theirs, :0]
-    own = VisibleFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], clump, flat)
+    own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], clump, flat)
     for margin in (0.05, 0.3):
         visible = share_facets(comm, mine, np.full(len(mine), SLAVE), own, master.facets[theirs], margin, ONE_TO_ONE)
         seen = visible.nodes[:, 0] // 100
@@ -345,7 +345,7 @@ def test_pairing_does_not_depend_on_the_ranks(name: str, comm: MPI.Comm, rng: np
     theirs = rng.integers(0, comm.size, len(master.facets)) == comm.rank
     numbers = np.arange(len(master.facets))[:, None] + np.zeros(len(kind.nodes), int)
     clump, flat = np.full(theirs.sum(), MASTER), master.facets[theirs, :0]
-    own = VisibleFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], clump, flat)
+    own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], clump, flat)
     visible = share_facets(comm, facets[mine], np.full(len(mine), SLAVE), own, master.facets[theirs], 0.05, ONE_TO_ONE)
     positions = master.facets[visible.nodes[:, 0]]
     found, *_ = closest_facets(kind, points[mine], normals[mine], positions, visible.orientation, visible.key, 0.05)
@@ -372,7 +372,7 @@ def test_overlap_of_coarse_blocks_is_what_it_is(dim: int, cells: str, method: st
             contact={"method": method},
         )
         model = Model(scene, create(comm, scene.geometry, scene.sizes))
-        contact = contact_of(model)
+        contact = interfaces_of(model)
         state = fenicsx.petsc_vector(model.state)
         contact.pair(state, max(contact.least_margin(), 2.0))
         contact.evaluate(state, tangent=False)

@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.contact.interfaces import Contact
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
@@ -41,7 +41,7 @@ def paired(pairs: object, comm: MPI.Comm) -> tuple[Contact, Model]:
     contact = {"pairs": pairs, "passes": 1}
     scene = pressed(3, mesh={"size": 0.3, "contact_size": 0.05}, contact=contact)
     model = Model(scene, create(comm, scene.geometry, scene.sizes, partition=a_body_a_rank))
-    contact = contact_of(model)
+    contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.set(0.0)
     contact.pair(state, 0.05)

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.integrals import quadrature_points
 from piezomat.meshes.body_mesh import BodyMesh, Partition, create
@@ -18,7 +19,6 @@ from piezomat.meshes.shapes import CrossedFibers, FacingHalves, MeshSizes, Shape
 
 pytestmark = pytest.mark.mpi
 
-Array = NDArray[np.float64]
 PLANE = StackedBlocks(height=[0.5, 0.25], divisions=[[4, 2], [3, 1]], distortion=0.2, gap=0.1)
 SOLID = StackedBlocks(height=[0.5, 0.25], depth=0.5, divisions=[[3, 2, 2], [2, 1, 1]], distortion=0.2, gap=0.1)
 KINDS = [(cells, order) for cells in ("simplex", "tensor") for order in (1, 2)]

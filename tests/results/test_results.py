@@ -20,7 +20,6 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.forms import fenicsx
-from piezomat.memory import give_back_memory, peak_memory_mb
 from piezomat.results.files import (
     SUMMARY_KEYS,
     ContactPoints,
@@ -33,6 +32,7 @@ from piezomat.results.files import (
     versions,
 )
 from piezomat.results.vtk import read_index
+from piezomat.usage import give_back_memory, peak_memory_mb
 from tests.conftest import bare_environment
 
 COLUMNS = ["step", "stage", "factor:press", "force_x@a, b", 'charge@"top"', "newton", "seconds"]

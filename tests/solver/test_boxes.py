@@ -10,7 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.setup import contact_of
+from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model, rigid_modes
 from piezomat.meshes.body_mesh import create
 from piezomat.scene.scene import Scene
@@ -53,7 +53,7 @@ def test_the_coarse_space_holds_rigid_motions_of_each_body(comm: MPI.Comm) -> No
     scene = pile(2)
     free = Scene(**{**scene.model_dump(exclude_unset=True), "boundaries": []})
     model = Model(free, create(comm, free.geometry, free.sizes))
-    problem = Problem(model, contact_of(model), Timer())
+    problem = Problem(model, interfaces_of(model), Timer())
     coarse = boxes.interpolation(model, problem.without_contact())
     assert coarse.size[1] < 0.5 * coarse.size[0]
     ksp = _conjugate_gradients(coarse.transposeMatMult(coarse))  # of the normal equations: the nearest coarse function

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.tangent_matrix import TangentMatrix
+from piezomat.forms.arrays import Array, Integers
 
 pytestmark = pytest.mark.mpi
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 NODES = 30
 
 

@@ -11,12 +11,12 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.contact import interfaces as contact
-from piezomat.memory import peak_memory_mb
 from piezomat.scene.scene import Scene, SceneError
 from piezomat.simulation import NotConverged, run
 from piezomat.solver import newton as solver
 from piezomat.solver.load_steps import Step, Stepper, StepReport
 from piezomat.solver.outcome import SolveError
+from piezomat.usage import peak_memory_mb
 from scripts.studies.mats import CHEAP, COARSE, STEPS, mat, value
 from tests.scenes import press
 

@@ -14,16 +14,15 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.materials import BUILT_IN
-from piezomat.forms.piezo import internal_form, law_field, tangent_form
+from piezomat.forms.piezo import constitutive_field, internal_form, tangent_form
 from tests.bulk import DIMENSION, boundary, integral, newton_step, nodes, unit_mesh
 
 pytestmark = pytest.mark.mpi
 
-Array = NDArray[np.float64]
 WAVES = np.array([[1.3, -0.7, 0.9], [-0.8, 1.1, 1.2], [1.0, 0.6, -1.4], [0.9, 1.2, 0.8]])
 PHASES = np.array([0.3, 1.1, -0.4, 0.7])
 AMPLITUDES = np.array([1.0, -0.8, 0.9, 1.2])
@@ -55,7 +54,7 @@ def errors(comm: MPI.Comm, cell: str, order: int, divisions: int, plane: Any) ->
     material = BUILT_IN["pzt5h"].rotated([1, 2, 0] if dim == 2 else [1, 2, -1.5])
     scale = float(np.sqrt(material.stiffness[2, 2] / material.permittivity[2, 2]))
     cells = np.zeros(mesh.topology.index_map(dim).size_local, np.int32)
-    law = law_field(mesh, [material.law(dim, plane)], cells, scale)
+    law = constitutive_field(mesh, [material.law(dim, plane)], cells, scale)
 
     scaled = material.law(dim, plane)
     scaled[-dim:] *= scale

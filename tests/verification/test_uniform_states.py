@@ -12,8 +12,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.materials import BUILT_IN, Material
-from piezomat.forms.piezo import Load, boundary_loads, internal_form, law_field, tangent_form
+from piezomat.forms.piezo import Load, boundary_loads, constitutive_field, internal_form, tangent_form
 from tests.bulk import (
     DIMENSION,
     assemble_vector,
@@ -27,7 +28,6 @@ from tests.bulk import (
 
 pytestmark = pytest.mark.mpi
 
-Array = NDArray[np.float64]
 ELEMENTS = [(cell, order) for order in (1, 2) for cell in DIMENSION]
 POLINGS = {2: ([0, 1, 0], [2, 1, 0.5]), 3: ([0, 0, 1], [1, 2, -1.5])}
 
@@ -53,7 +53,7 @@ class Block:
 
     def law_of(self, matrix: Array, scale: float) -> Any:
         cells = self.mesh.topology.index_map(self.dim).size_local
-        return law_field(self.mesh, [matrix], np.zeros(cells, np.int32), scale)
+        return constitutive_field(self.mesh, [matrix], np.zeros(cells, np.int32), scale)
 
     def fill(self, material: Material, plane: Any) -> tuple[Array, float]:
         """Give all cells a material; its law and the potential's scale."""

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.lennard_jones import LennardJones
-
-Array = NDArray[np.float64]
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that it has a slope
 RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal

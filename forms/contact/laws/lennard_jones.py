@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
+
 if TYPE_CHECKING:
     from piezomat.forms.contact.laws.interface import History, Response
 
-Array = NDArray[np.float64]
 
 FAR = 5.0  # gap, in r0, from which the traction (0.5 % of the strongest) goes to zero
 REST = 15.0 ** (-1 / 6)  # gap without traction, in r0
