@@ -78,8 +78,8 @@ def _law(model: Model) -> str:
 def _held(model: Model) -> str:
     bodies = model.bodies
     names = ["+".join(bodies.bodies[i] for i in members) for members in bodies.part_bodies]
-    free = [name for name, floats in zip(names, model.floating[:, 0], strict=True) if floats]
-    charged = [name for name, floats in zip(names, model.floating[:, 1], strict=True) if floats]
+    free = [name for name, floats in zip(names, model.unconstrained[:, 0], strict=True) if floats]
+    charged = [name for name, floats in zip(names, model.unconstrained[:, 1], strict=True) if floats]
     notes = []
     if free:
         notes.append(f"by contact at most, with weak springs to where they were: {named(free)}")
@@ -180,7 +180,7 @@ def _linear_solver(model: Model) -> str:
 
 def _multigrid(model: Model) -> str:
     split = ", displacement and potential split, "
-    if model.loose:
+    if model.has_unconstrained_bodies:
         boxes = "two-level multigrid over boxes of each body"
         return f"{split}{boxes} and algebraic multigrid" if model.electric else f" with {boxes}"
     return (

@@ -286,7 +286,7 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
 def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
     """One line for the log: size, physics, solver."""
     physics = "displacement and potential" if model.electric else "displacement"
-    how = "one linear solve a step" if problem.linear else "Newton's method"
+    how = "one linear solve a step" if problem.is_linear else "Newton's method"
     solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
     contact = "no contact" if problem.contact is None else problem.contact.described()
     return f"{model.unknowns} unknowns ({physics}), {contact}, {how}, {solver} linear solver"

@@ -28,7 +28,7 @@ def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any 
     return half_square(range(strains)), -half_square(range(strains, len(s)))
 
 
-def grounding_form(v: Any, strength: Any) -> Any:
+def stabilization_form(v: Any, strength: Any) -> Any:
     """Linear form whose vector holds the springs, one at every unknown, that hold a body where it was.
 
     Their energy in a rigid motion is that of springs spread over the volume, whatever the order: its square is

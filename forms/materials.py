@@ -129,7 +129,7 @@ class Material:
             self.source,
         )
 
-    def law(self, dim: int, plane: Plane = "strain") -> Array:
+    def constitutive_matrix(self, dim: int, plane: Plane = "strain") -> Array:
         """Symmetric enthalpy matrix M, H = 1/2 s.M.s in pJ/um3: (9, 9) in 3D, (5, 5) in 2D.
 
         s = (strain, electric field), in 2D (S11, S22, 2 S12, E1, E2). plane "strain": S33 = S23 = S13 = 0;
@@ -159,7 +159,7 @@ class Material:
         """Full strain, stress and electric displacement at any number of points.
 
         strain (..., 6) and field (..., 3) in 3D; (..., 3) and (..., 2) in 2D, in-plane. No field: zero. In 2D
-        the parts out of the plane follow from `plane` as in `law`.
+        the parts out of the plane follow from `plane` as in `constitutive_matrix`.
         """
         strain = np.asarray(strain, float)
         components = 6 if dim == 3 else 3
@@ -174,12 +174,12 @@ class Material:
             state[..., IN_PLANE] = in_plane
             if plane == "stress":
                 state[..., OUT_OF_PLANE] = in_plane @ self._condensation().T
-        gradient = state @ self.law(3)
+        gradient = state @ self.constitutive_matrix(3)
         return Response(state[..., :6], gradient[..., :6], -gradient[..., 6:])
 
     def _condensation(self) -> Array:
         """(3, 5): takes the in-plane state to (S33, 2 S23, 2 S13) where T33 = T23 = T13 = 0 and E3 = 0."""
-        full = self.law(3)
+        full = self.constitutive_matrix(3)
         return -np.linalg.solve(full[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)], full[np.ix_(OUT_OF_PLANE, IN_PLANE)])
 
 

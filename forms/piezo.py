@@ -52,7 +52,8 @@ def constitutive_field(
 ) -> Any:
     """Upper triangle, row by row, of each cell's enthalpy matrix as a blocked DG0 Function. Collective.
 
-    laws: matrices of `Material.law`, (5, 5) or (9, 9); cell_law: (local cells,) which of them a cell has.
+    laws: matrices of `Material.constitutive_matrix`, (5, 5) or (9, 9); cell_law (local cells,): which of
+    them a cell has.
     Rows and columns of the electric field are multiplied by potential_scale (V); None: there is no potential
     and only the elastic block is kept. 15 (2D) or 45 (3D) components; without potential 6 or 21.
     """

@@ -18,7 +18,7 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.energy import grounding_form, stored_energies
+from piezomat.forms.energy import stabilization_form, stored_energies
 from piezomat.forms.piezo import internal_form, load_tangent, tangent_form
 from piezomat.meshes import parallel
 from piezomat.usage import Timer, give_back_memory
@@ -50,42 +50,42 @@ class Problem:
         self._evaluated: PETSc.Vec = fenicsx.petsc_vector(model.state)  # where forms are evaluated
         self.state: PETSc.Vec = self._evaluated.duplicate()
         self.state.set(0.0)
-        self.finite = model.scene.model.kinematics == "finite"
+        self.has_finite_kinematics = model.scene.model.kinematics == "finite"
         self._test = ufl.TestFunction(model.space)
         self._coordinates = model.coordinate_vector()
         with timer("assembly"):
             self._compile()
             self._springs = self._ground()
-            self.grounding = 1.0  # factor by which the springs are stronger, see `Springs`
+            self.stabilization_factor = 1.0  # factor by which the springs are stronger, see `Springs`
             self._bulk = dolfinx.fem.petsc.create_matrix(self._tangent_form)
             self._assemble_bulk()
         self._matrix: TangentMatrix | None = None
         self.condensed: CondensedBulk | None = None  # what tells the bulk's residual, where it is not the matrix
-        self.renewals = 0  # how often bulk and grounding have changed
-        self.full = self.state.duplicate()  # residual with the reactions of what is fixed
+        self.stiffness_version = 0  # how often bulk and grounding have changed
+        self.residual_with_reactions = self.state.duplicate()  # residual with the reactions of what is fixed
         self.loads = self.state.duplicate()  # what the loads add to the residual: minus the nodal forces they apply
-        self.start = self.state.duplicate()  # the last converged state
+        self.converged_state = self.state.duplicate()  # the last converged state
         self._work = self.state.duplicate()  # new vectors in each iteration would stay until garbage is collected
         self._terms: ContactTerms | None = None
         self.snap_through_work: Array | None = None  # of the last part of a step, if it snapped
-        self.linear = contact is None and not self.finite
+        self.is_linear = contact is None and not self.has_finite_kinematics
         length = float(model.part_size.max())
         stiffest = contact.stiffest if contact is not None else 0.0
         # Forces of a strain of one, and of a penetration as large as the coordinates that the gaps are made from.
         self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
 
     @property
-    def floats(self) -> bool:
+    def is_stabilized(self) -> bool:
         """Whether springs hold a part, because its boundaries do not."""
         return self._springs is not None
 
     @property
-    def loose(self) -> bool:
+    def has_weakly_held_bodies(self) -> bool:
         """Whether nothing but contact and weak springs holds some of the bodies."""
-        return self.model.loose and self.grounding == 1.0
+        return self.model.has_unconstrained_bodies and self.stabilization_factor == 1.0
 
     @property
-    def symmetric(self) -> bool:
+    def is_symmetric(self) -> bool:
         """Whether the tangent is symmetric: all but follower pressure is derived from one enthalpy."""
         return self._load_tangent is None
 
@@ -109,13 +109,13 @@ class Problem:
         self.model.set_loads(factors)
         if self.contact is not None:
             self.contact.move_planes(factors)
-        self.targets = self.model.fixed_values(factors)
+        self.prescribed_values = self.model.fixed_values(factors)
         self._assemble_loads()
 
     def begin_step(self, margin: float) -> None:
         """Start a step from the converged state: pair the surfaces anew and remember where the step starts."""
         self.collect_garbage()
-        self.state.copy(self.start)
+        self.state.copy(self.converged_state)
         self.pair(margin)
 
     def pair(self, margin: float) -> None:
@@ -135,10 +135,10 @@ class Problem:
         if self.contact is not None:
             with self.timer("contact"):
                 terms = self.contact.evaluate(x, tangent=False, search=search)
-                self.contact.add_residual(terms, self.full)
+                self.contact.add_residual(terms, self.residual_with_reactions)
                 if self.contact.broken:
-                    self.full.set(np.nan)
-        self.full.copy(result)
+                    self.residual_with_reactions.set(np.nan)
+        self.residual_with_reactions.copy(result)
         result.array[self.model.fixed] = 0.0
 
     def linearize(self, x: PETSc.Vec) -> None:
@@ -166,7 +166,7 @@ class Problem:
             return np.zeros((0, 2), np.int64), np.zeros((0, size, size))
         return self.contact.global_nodes(self._terms), self._terms.matrices
 
-    def without_contact(self) -> PETSc.Mat:
+    def bulk_stiffness(self) -> PETSc.Mat:
         """A copy of the tangent's bulk and grounding, the fixed unknowns eliminated."""
         bulk = self._bulk.copy()
         bulk.zeroRowsColumns(self.model.fixed_global, diag=1.0)
@@ -178,23 +178,23 @@ class Problem:
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)
 
-    def contact_after(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+    def linearized_contact_residual(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = contact's share of the residual after a change of the state, as the last `linearize` tells it."""
         result.set(0.0)
         self.contact.add_residual(self._terms, result)
         self.contact.add_product(self._terms, change, result)
 
-    def fixed_change(self) -> PETSc.Vec:
+    def prescribed_change(self) -> PETSc.Vec:
         """How far the fixed unknowns are from where this load level wants them, zero elsewhere."""
         change = self.state.duplicate()
         change.set(0.0)
-        change.array[self.model.fixed] = self.targets - self.state.array_r[self.model.fixed]
+        change.array[self.model.fixed] = self.prescribed_values - self.state.array_r[self.model.fixed]
         return change
 
     def prescribed_motion(self) -> float:
         """How far this load level moves a node whose displacement is fixed, um: the largest component."""
         fixed = self.model.fixed
-        change = np.abs(self.targets - self.state.array_r[fixed])[fixed % self.model.block < self.model.dim]
+        change = np.abs(self.prescribed_values - self.state.array_r[fixed])[fixed % self.model.block < self.model.dim]
         return self.maximum(float(change.max(initial=0.0)))
 
     def refresh(self) -> None:
@@ -210,14 +210,14 @@ class Problem:
         return np.sqrt(parallel.total(self.comm, np.array(parts)))
 
     @property
-    def loaded(self) -> bool:
+    def has_loads(self) -> bool:
         """Whether the scene has loads, beside prescribed displacements and potentials."""
         return self._load_form is not None
 
-    def outer_forces(self) -> Array:
+    def external_forces(self) -> Array:
         """Norms (1,) or (2,) of what acts from outside at the last `residual`: reactions, loads, rigid planes."""
         self.loads.copy(self._work)
-        self._work.axpy(-1.0, self.full)
+        self._work.axpy(-1.0, self.residual_with_reactions)
         if self.contact is not None:
             self.contact.add_forces_of_planes(self._work)
         return self.norms(self._work)
@@ -241,7 +241,7 @@ class Problem:
 
     def motion(self, since: PETSc.Vec | None = None) -> float:
         """How far a node has moved since an earlier state, or since the step began, um: the largest component."""
-        change = self.displacements(self.state) - self.displacements(self.start if since is None else since)
+        change = self.displacements(self.state) - self.displacements(self.converged_state if since is None else since)
         return self.maximum(float(np.abs(change).max(initial=0.0)))
 
     def energies(self, x: PETSc.Vec) -> dict[str, float]:
@@ -253,23 +253,24 @@ class Problem:
             "electric": fenicsx.integral(electric) if electric is not None else 0.0,
         }
 
-    def grounding_work(self) -> float:
+    def stabilization_work(self) -> float:
         """Work of the grounding springs in the step that ends at the present state, pJ."""
         if self._springs is None:
             return 0.0
-        change = self.state - self.start
-        work = self.grounding * self._springs.array_r * change.array_r**2
+        change = self.state - self.converged_state
+        work = self.stabilization_factor * self._springs.array_r * change.array_r**2
         return self.comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
 
     def _compile(self) -> None:
         model = self.model
         kinematics = model.scene.model.kinematics
-        self._tangent_form = dolfinx.fem.form(tangent_form(model.state, model.law, kinematics))
+        self._tangent_form = dolfinx.fem.form(tangent_form(model.state, model.constitutive_field, kinematics))
         self._residual_form = None
-        if self.finite:
-            self._residual_form = dolfinx.fem.form(internal_form(model.state, model.law, kinematics))
+        if self.has_finite_kinematics:
+            self._residual_form = dolfinx.fem.form(internal_form(model.state, model.constitutive_field, kinematics))
         self._energy_forms = [
-            None if e is None else dolfinx.fem.form(e) for e in stored_energies(model.state, model.law, kinematics)
+            None if e is None else dolfinx.fem.form(e)
+            for e in stored_energies(model.state, model.constitutive_field, kinematics)
         ]
         loads = model.load_form()
         self._load_form = None if loads.empty() else dolfinx.fem.form(loads)
@@ -279,22 +280,22 @@ class Problem:
     def _ground(self) -> PETSc.Vec | None:
         """The springs of parts that float, one at every unknown; None where no part does."""
         model = self.model
-        if not model.floating.any():
+        if not model.unconstrained.any():
             return None
         strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
-        values = GROUNDING * model.part_modulus / model.part_size[:, None] ** 2 * model.floating
+        values = GROUNDING * model.part_modulus / model.part_size[:, None] ** 2 * model.unconstrained
         cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
         strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
         strength.x.scatter_forward()
         springs = self.state.duplicate()
-        self._assemble_into(springs, dolfinx.fem.form(grounding_form(self._test, strength)))
+        self._assemble_into(springs, dolfinx.fem.form(stabilization_form(self._test, strength)))
         return springs
 
-    def set_grounding(self, factor: float) -> None:
+    def set_stabilization(self, factor: float) -> None:
         """Make the springs of floating parts `factor` times as strong as they are at first."""
-        if self.floats and factor != self.grounding:
-            self._add_springs(factor - self.grounding)
-            self.grounding = factor
+        if self.is_stabilized and factor != self.stabilization_factor:
+            self._add_springs(factor - self.stabilization_factor)
+            self.stabilization_factor = factor
             self._renew()
 
     def _add_springs(self, factor: float) -> None:
@@ -303,16 +304,16 @@ class Problem:
         self._bulk.setDiagonal(diagonal)
 
     def _renew(self) -> None:
-        self.renewals += 1
+        self.stiffness_version += 1
         if self._matrix is not None:
             self._matrix.set_bulk(self._bulk)
 
-    def carried_by_grounding(self) -> float:
+    def stabilization_load_share(self) -> float:
         """Forces of the springs on floating parts over the forces of the loads; 0 without springs or loads."""
         loads = self.comm.allreduce(float(np.abs(self.displacements(self.loads)).sum()), op=MPI.SUM)
-        if not self.floats or loads == 0.0:
+        if not self.is_stabilized or loads == 0.0:
             return 0.0
-        force = self._springs * (self.state - self.start)
+        force = self._springs * (self.state - self.converged_state)
         return self.comm.allreduce(float(np.abs(self.displacements(force)).sum()), op=MPI.SUM) / loads
 
     def _assemble_bulk(self) -> None:
@@ -322,10 +323,10 @@ class Problem:
             dolfinx.fem.petsc.assemble_matrix(self._bulk, self._load_tangent)
         self._bulk.assemble()
         if self._springs is not None:
-            self._add_springs(self.grounding)
+            self._add_springs(self.stabilization_factor)
 
     def _update_bulk(self, x: PETSc.Vec) -> None:
-        if not self.finite:
+        if not self.has_finite_kinematics:
             return
         with self.timer("assembly"):
             self._set_state(x)
@@ -335,26 +336,26 @@ class Problem:
     def bulk_residual(self, x: PETSc.Vec) -> PETSc.Vec:
         """Residual at x of all but contact, with the reactions of what is fixed."""
         self._bulk_residual(x)
-        return self.full.copy()
+        return self.residual_with_reactions.copy()
 
     def _bulk_residual(self, x: PETSc.Vec) -> None:
         if self.condensed is not None:
-            self.condensed.residual(x, self.full)
+            self.condensed.residual(x, self.residual_with_reactions)
             return
-        if self.finite:
+        if self.has_finite_kinematics:
             self._set_state(x)
-            self._assemble_into(self.full, self._residual_form)
+            self._assemble_into(self.residual_with_reactions, self._residual_form)
             if self._load_tangent is not None:
                 self._assemble_loads()
         else:
-            self._bulk.mult(x, self.full)  # its springs included
-        self.full.axpy(1.0, self.loads)
+            self._bulk.mult(x, self.residual_with_reactions)  # its springs included
+        self.residual_with_reactions.axpy(1.0, self.loads)
         if self._springs is not None:
-            self.start.copy(self._work)
-            if self.finite:
+            self.converged_state.copy(self._work)
+            if self.has_finite_kinematics:
                 self._work.axpy(-1.0, x)
             self._work.pointwiseMult(self._springs, self._work)
-            self.full.axpy(-self.grounding, self._work)
+            self.residual_with_reactions.axpy(-self.stabilization_factor, self._work)
 
     def _assemble_loads(self) -> None:
         self.loads.set(0.0)

@@ -31,6 +31,6 @@ def touching_bodies(model: Model, contact: Contact) -> set[int]:
 def left_alone(model: Model, touched: set[int]) -> list[str]:
     """Names of the bodies that no boundary holds and that are not among those that touched something."""
     names = model.bodies.bodies
-    floating = [part for part, free in enumerate(model.floating[:, 0]) if free]
+    floating = [part for part, free in enumerate(model.unconstrained[:, 0]) if free]
     members = [model.bodies.part_bodies[part] for part in floating]
     return [names[body] for bodies in members if not touched & set(bodies) for body in bodies]

@@ -75,9 +75,9 @@ class Model:
         self.block: int = self.dim + self.electric
         self.state = dolfinx.fem.Function(self.space)
         self.part_modulus = np.array([self._modulus(members) for members in bodies.part_bodies])
-        self.law = constitutive_field(
+        self.constitutive_field = constitutive_field(
             self.mesh,
-            [m.law(self.dim, scene.model.plane) for m in self.materials],
+            [m.constitutive_matrix(self.dim, scene.model.plane) for m in self.materials],
             bodies.cell_body,
             self.potential_scale,
         )
@@ -90,7 +90,7 @@ class Model:
         for condition in self.conditions:
             self.groups.setdefault(condition.boundary.on, []).append(condition)
         self._find_loads()
-        self.floating = self._find_floating()
+        self.unconstrained = self._find_unconstrained()
 
     def _modulus(self, members: list[int]) -> Array:
         """Stiffness of the softest body of a part, MPa, and the same for the potential unknown."""
@@ -99,9 +99,9 @@ class Model:
         return np.array([min(m.mean_stiffness for m in materials), permittivity * (self.potential_scale or 0.0) ** 2])
 
     @property
-    def loose(self) -> bool:
+    def has_unconstrained_bodies(self) -> bool:
         """Whether a part can move that its boundaries do not hold."""
-        return bool(self.floating[:, 0].any())
+        return bool(self.unconstrained[:, 0].any())
 
     @property
     def unknowns(self) -> int:
@@ -278,7 +278,7 @@ class Model:
                 numbers = [number for number, row in enumerate(sets, start=1) if row[loaded.index(b.on)]]
                 self._loads += [Load(number, **constants) for number in numbers]
 
-    def _find_floating(self) -> NDArray[np.bool_]:
+    def _find_unconstrained(self) -> NDArray[np.bool_]:
         """(parts, 2): whether nothing but contact holds a part, mechanically and electrically."""
         parts = len(self.bodies.part_bodies)
         d, owned = self.dim, self.owned

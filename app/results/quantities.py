@@ -83,10 +83,10 @@ class Balance:
         """Add the part of a step that has just converged."""
         problem = self.problem
         block, d = problem.model.block, problem.model.dim
-        new, old = (v.array_r.reshape(-1, block) for v in (problem.full, self.forces))
+        new, old = (v.array_r.reshape(-1, block) for v in (problem.residual_with_reactions, self.forces))
         # Loads are part of `full`, which is therefore zero where nothing is fixed: the work of both is counted.
         new = new - problem.loads.array_r.reshape(-1, block)
-        x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.start))
+        x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.converged_state))
         work = 0.0
         if problem.snap_through_work is None:
             work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
@@ -97,7 +97,7 @@ class Balance:
             self.external_work += float(problem.snap_through_work[0])
             self.stabilization += float(problem.snap_through_work[1])
         self._take_planes()
-        self.stabilization += problem.grounding_work()
+        self.stabilization += problem.stabilization_work()
         self.forces.array[:] = new.ravel()
 
     def _take_planes(self) -> None:
@@ -144,7 +144,7 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     total = np.zeros(model.dim + 1)
     for condition in conditions:
         for component, unknowns in condition.fixed.items():
-            total[component] += problem.full.array_r[unknowns].sum()
+            total[component] += problem.residual_with_reactions.array_r[unknowns].sum()
     total = parallel.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
     applied = sum(model.applied(condition, factors) for condition in conditions)

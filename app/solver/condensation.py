@@ -61,7 +61,7 @@ class Condensation:
         if self.holds:
             self.outgrown = self.outgrown or outgrown
             nodes, matrices = nodes[inside], matrices[inside]
-        elif outgrown or self._of != self.problem.renewals:
+        elif outgrown or self._of != self.problem.stiffness_version:
             wanted = np.union1d(nodes, self.problem.contact.reserve(self._ahead))
             candidates = np.unique(np.concatenate([self.candidates, *self.comm.allgather(wanted)]))
             if len(candidates) * self.block > limit:
@@ -73,12 +73,12 @@ class Condensation:
 
     def _condense(self, candidates: Integers) -> None:
         """Factorize the bulk and condense it to these global nodes, sorted and the same on all ranks."""
-        self._of = self.problem.renewals
+        self._of = self.problem.stiffness_version
         self._factors.destroy()
         problem, b = self.problem, self.block
         self.candidates = candidates
         sets = [PETSc.IS().createGeneral(_unknowns(part, b), comm=MPI.COMM_SELF) for part in self._parts]
-        bulk = problem.without_contact()
+        bulk = problem.bulk_stiffness()
         matrices = bulk.createSubMatrices(sets, sets)
         bulk.destroy()
         give_back_memory()

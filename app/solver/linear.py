@@ -33,7 +33,7 @@ AGED = 1.5  # growth of the Krylov iterations a digit that has a preconditioner 
 
 def direct_limit_3d(model: Model) -> int:
     """Most unknowns that are factorized in 3D."""
-    return LOOSE_LIMIT_3D if model.loose else DIRECT_LIMIT_3D
+    return LOOSE_LIMIT_3D if model.has_unconstrained_bodies else DIRECT_LIMIT_3D
 
 
 def is_direct(model: Model) -> bool:
@@ -82,7 +82,7 @@ class Direct:
     def __init__(self, problem: Problem, keys: Solver) -> None:
         self.problem = problem
         own_choice = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
-        constant = problem.contact is not None and not problem.finite and problem.symmetric
+        constant = problem.contact is not None and not problem.has_finite_kinematics and problem.is_symmetric
         self.condensation: Condensation | None = Condensation(problem) if constant and not own_choice else None
         self._operator = _Operator(problem)
         self._matrix: PETSc.Mat | None = None
@@ -126,7 +126,7 @@ class Direct:
 
     def _factorize_all(self) -> None:
         # LDL^T of the symmetric tangent takes half the work of LU; both can pivot on its negative block.
-        self._pc.setType(PETSc.PC.Type.CHOLESKY if self.problem.symmetric else PETSc.PC.Type.LU)
+        self._pc.setType(PETSc.PC.Type.CHOLESKY if self.problem.is_symmetric else PETSc.PC.Type.LU)
         self._pc.setFactorSolverType("mumps")
 
 
@@ -147,11 +147,11 @@ class Multigrid:
         self.problem = problem
         self._operator = _Operator(problem)
         self._rigid = _near_nullspace(problem.model, problem.comm)
-        self._loose = problem.model.loose
+        self._loose = problem.model.has_unconstrained_bodies
         self._interpolation: PETSc.Mat | None = None
         self._matrix: PETSc.Mat | None = None
         self._rate = 0.0  # Krylov iterations a digit in the first solve with the present preconditioner
-        self.close_tolerance = min(1e-8, 0.1 * keys.tolerance) if problem.linear else POLISH_TOLERANCE
+        self.close_tolerance = min(1e-8, 0.1 * keys.tolerance) if problem.is_linear else POLISH_TOLERANCE
         self._inexact = "ksp_rtol" not in keys.petsc and not self._loose
         if "ksp_rtol" in keys.petsc:
             self.start_tolerance = self.close_tolerance = None
@@ -215,7 +215,7 @@ class Multigrid:
         if pc.getType() != PETSc.PC.Type.MG:
             return
         if self._interpolation is None:
-            stiffness = self.problem.without_contact()
+            stiffness = self.problem.bulk_stiffness()
             if model.electric:
                 whole, stiffness = stiffness, stiffness.createSubMatrix(self._displacements, self._displacements)
                 whole.destroy()
@@ -240,7 +240,7 @@ class Multigrid:
         # Point smoothers only: the coarse grids have empty rows where unknowns are fixed, which SOR cannot divide by.
         smoother = {"mg_levels_ksp_max_it": 3, "mg_levels_pc_type": "jacobi"}
         amg = {"pc_type": "gamg", "pc_gamg_threshold": 0.02} | smoother
-        of_displacements = boxes.options(symmetric=self.problem.symmetric) | smoother if self._loose else amg
+        of_displacements = boxes.options(symmetric=self.problem.is_symmetric) | smoother if self._loose else amg
         if not self.problem.model.electric:
             return of_displacements
         split: dict[str, Any] = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}

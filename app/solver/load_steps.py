@@ -130,7 +130,7 @@ class Stepper:
         try:
             self._solve(margin, report)
         except SolveError:
-            problem.start.copy(problem.state)
+            problem.converged_state.copy(problem.state)
             if problem.contact is not None:
                 problem.contact.give_up()
             raise

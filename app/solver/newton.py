@@ -97,7 +97,7 @@ class Newton:
         only contact can hold would throw it away before it is held: its springs are then made strong at first.
         """
         report = self._report = NewtonReport()
-        (self._springs.solve if self.problem.floats else self._solve)(margin, report)
+        (self._springs.solve if self.problem.is_stabilized else self._solve)(margin, report)
         return report
 
     def _solve(self, margin: float, report: NewtonReport) -> None:
@@ -106,10 +106,10 @@ class Newton:
         self._misses = 0
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
-            problem.contact.pulls = not (problem.model.loose and problem.model.electric)
-            problem.contact.settle(0, np.inf, loose=problem.loose)
-        self._predict(report, closely=problem.linear)
-        if problem.linear:
+            problem.contact.pulls = not (problem.model.has_unconstrained_bodies and problem.model.electric)
+            problem.contact.settle(0, np.inf, loose=problem.has_weakly_held_bodies)
+        self._predict(report, closely=problem.is_linear)
+        if problem.is_linear:
             self._refine(report)
             return
         cuts, rechecks = CUTS, RECHECKS
@@ -160,7 +160,7 @@ class Newton:
 
     def _polish(self, report: NewtonReport) -> None:
         """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
-        if self.linear.close_tolerance is not None and self.problem.floats:
+        if self.linear.close_tolerance is not None and self.problem.is_stabilized:
             self._predict(report, closely=True)
             self.problem.residual(self.problem.state, self._residual)
 
@@ -180,7 +180,7 @@ class Newton:
         problem = self.problem
         fixed = problem.model.fixed
         problem.residual(problem.state, self._residual)
-        change = problem.fixed_change()
+        change = problem.prescribed_change()
         self._residual.copy(self._right)
         self._right.scale(-1.0)
         self._operators = self.linear.linearize(problem.state)
@@ -209,7 +209,7 @@ class Newton:
             self.linear.condensation.hold(self._trial)
         self._foresee(problem.state, self._change, 1.0)
         problem.state.axpy(1.0, self._change)
-        problem.state.array[fixed] = problem.targets
+        problem.state.array[fixed] = problem.prescribed_values
 
     def _foresee(self, x: PETSc.Vec, change: PETSc.Vec, residual: float) -> None:
         """Correct a linear solve's change of x until contact answers to it as was foreseen: the best that is found.
@@ -231,12 +231,12 @@ class Newton:
             if not FORESEEN * residual < unforeseen < WILD:
                 break
             # The bulk is linear, and stays in balance with what contact was to answer.
-            problem.contact_after(change, self._right)
+            problem.linearized_contact_residual(change, self._right)
             self._operators = self.linear.linearize(x)
             if self.linear.condensation.outgrown:
                 self.linear.condensation.let_go()
                 self._operators = self.linear.linearize(x)  # with more candidates
-            problem.contact_after(change, self._trial)
+            problem.linearized_contact_residual(change, self._trial)
             self._right.axpy(-1.0, self._trial)
             self._right.array[problem.model.fixed] = 0.0
             with problem.timer("linear_solve"):
@@ -318,7 +318,9 @@ class Newton:
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
-            self.problem.contact.settle(snes.getIterationNumber(), self._report.residuals[-1], loose=self.problem.loose)
+            self.problem.contact.settle(
+                snes.getIterationNumber(), self._report.residuals[-1], loose=self.problem.has_weakly_held_bodies
+            )
         self._operators = self.linear.linearize(x)
         if self.linear.condensation is not None:
             self.linear.condensation.hold(x)
@@ -363,7 +365,7 @@ class Newton:
     def _ratios(self, norms: NDArray[np.float64]) -> NDArray[np.float64]:
         """The fields' norms over the forces of each."""
         problem = self.problem
-        forces = np.maximum(self._reference, problem.outer_forces())
+        forces = np.maximum(self._reference, problem.external_forces())
         forces = np.maximum(forces, FIELD_FLOOR * forces.max())
         rounding = 2.0 * np.finfo(float).eps * problem.largest_force
         return np.maximum(norms[: len(forces)] - rounding, 0.0) / np.maximum(forces, rounding)

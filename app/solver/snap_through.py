@@ -28,24 +28,26 @@ def snap_through_work(problem: Problem) -> Array | None:
     if contact is None or not contact.adhesive:
         return None
     end = problem.state.copy()
-    change = problem.displacements(end - problem.start)
-    fixed = np.zeros(len(problem.full.array_r), bool)
+    change = problem.displacements(end - problem.converged_state)
+    fixed = np.zeros(len(problem.residual_with_reactions.array_r), bool)
     fixed[problem.model.fixed] = True
     fixed = fixed.reshape(-1, problem.model.block)[:, : problem.model.dim]
     dragged, contact.dragged = contact.dragged, False
 
     def power(share: float) -> Array:
-        x = (1.0 - share) * problem.start + share * end
+        x = (1.0 - share) * problem.converged_state + share * end
         problem.residual(x, x.duplicate())
-        work = problem.displacements(problem.full) * change
+        work = problem.displacements(problem.residual_with_reactions) * change
         applied = problem.displacements(problem.loads) * change
         outside, free = (work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()
         return parallel.total(problem.comm, np.array([outside, free]))
 
     values = [power(0.0)]
-    energy, forces = _energy(problem, problem.start), problem.full.array_r.copy()
+    energy, forces = _energy(problem, problem.converged_state), problem.residual_with_reactions.array_r.copy()
     values += [power(0.5), power(1.0)]
-    gained = _energy(problem, end) - energy - _electric_work(problem, end, problem.full.array_r - forces)
+    gained = (
+        _energy(problem, end) - energy - _electric_work(problem, end, problem.residual_with_reactions.array_r - forces)
+    )
     found = _simpson(values)
     uncertain = SNAPPED * abs(values[-1][0] - values[0][0])
     snaps = dragged or found[0] - gained > uncertain
@@ -71,7 +73,7 @@ def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:
     model = problem.model
     if not model.electric:
         return 0.0
-    twice, charge = (v.reshape(-1, model.block)[:, -1] for v in (end.array_r + problem.start.array_r, change))
+    twice, charge = (v.reshape(-1, model.block)[:, -1] for v in (end.array_r + problem.converged_state.array_r, change))
     return problem.comm.allreduce(float(-0.5 * twice @ charge), op=MPI.SUM)
 
 

@@ -34,26 +34,26 @@ class Springs:
     def __init__(self, problem: Problem, equilibrium: Callable[[float, NewtonReport], None]) -> None:
         self.problem = problem
         self._equilibrium = equilibrium
-        if problem.model.floating[:, 0].sum() >= MANY and not problem.loaded:
-            problem.set_grounding(STRONGER)
+        if problem.model.unconstrained[:, 0].sum() >= MANY and not problem.has_loads:
+            problem.set_stabilization(STRONGER)
 
     def solve(self, margin: float, report: NewtonReport) -> None:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails."""
         problem = self.problem
         try:
             self._solve(margin, report)
-            if problem.carried_by_grounding() <= CARRIED:
+            if problem.stabilization_load_share() <= CARRIED:
                 return
         except SolveError as error:
-            if not (problem.loaded or problem.model.loose):
+            if not (problem.has_loads or problem.model.has_unconstrained_bodies):
                 raise
             log.info("loose bodies: %s", error)
-        problem.start.copy(problem.state)
+        problem.converged_state.copy(problem.state)
         problem.pair(margin)
-        if problem.loaded:
+        if problem.has_loads:
             self._let_down(margin, report)
         else:
-            problem.set_grounding(STRONGER if problem.grounding == 1.0 else 1.0)
+            problem.set_stabilization(STRONGER if problem.stabilization_factor == 1.0 else 1.0)
             self._solve(margin, report)
 
     def _solve(self, margin: float, report: NewtonReport) -> None:
@@ -62,9 +62,9 @@ class Springs:
         self._equilibrium(margin, report)
         if self._flew(prescribed):
             raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
-        if problem.grounding == STRONGER:
+        if problem.stabilization_factor == STRONGER:
             stored = sum(problem.energies(problem.state).values())
-            if problem.grounding_work() > WORK * stored:
+            if problem.stabilization_work() > WORK * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
     def _let_down(self, margin: float, report: NewtonReport) -> None:
@@ -75,7 +75,7 @@ class Springs:
             while last > 1.0:
                 factor = max(last / fall, 1.0)
                 prescribed = problem.prescribed_motion()
-                problem.set_grounding(factor)
+                problem.set_stabilization(factor)
                 try:
                     self._equilibrium(margin, report)
                     if self._flew(prescribed, here):
@@ -90,8 +90,8 @@ class Springs:
                     problem.state.copy(here)
                     last, fall = factor, min(fall**2, FALL)
         finally:
-            problem.set_grounding(1.0)
-        if problem.carried_by_grounding() > CARRIED:
+            problem.set_stabilization(1.0)
+        if problem.stabilization_load_share() > CARRIED:
             raise SolveError(UNHELD)
 
     def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:

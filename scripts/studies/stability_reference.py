@@ -47,9 +47,9 @@ def force(approach: float, facet: float, order: int, kinematics: str) -> float:
     active = way < 0.0
     for _ in range(ITERATIONS):
         problem.residual(problem.state, problem.state.duplicate())
-        forces, u = problem.full.array_r.copy(), problem.state.array_r.copy()
+        forces, u = problem.residual_with_reactions.array_r.copy(), problem.state.array_r.copy()
         problem.linearize(problem.state)
-        rows, columns, values = problem.without_contact().getValuesCSR()
+        rows, columns, values = problem.bulk_stiffness().getValuesCSR()
         tangent = scipy.sparse.csr_matrix((values, columns, rows))
         change = np.zeros(len(u))
         change[up[active]] = way[active] - u[up[active]]

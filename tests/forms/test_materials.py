@@ -46,7 +46,7 @@ def voigt_strain(matrix: Array) -> Array:
 
 def uniform_state(material: Material, free: list[int], t33: float) -> tuple[Array, Array]:
     """s and its conjugate M s where T33 = t33, the other conjugates of `free` and the rest of s are zero."""
-    law = material.law(3)
+    law = material.constitutive_matrix(3)
     load = np.zeros(9)
     load[2] = t33
     state = np.zeros(9)
@@ -144,8 +144,8 @@ def test_rotation_turns_material_axes_and_keeps_the_energy(poling: list[float], 
     turned.check()
     state = np.concatenate([voigt_strain(small), field])
     turned_state = np.concatenate([voigt_strain(axes @ small @ axes.T), axes @ field])
-    energy = state @ material.law(3) @ state
-    assert turned_state @ turned.law(3) @ turned_state == pytest.approx(energy, rel=1e-12)
+    energy = state @ material.constitutive_matrix(3) @ state
+    assert turned_state @ turned.constitutive_matrix(3) @ turned_state == pytest.approx(energy, rel=1e-12)
     before, after = (
         material.response(state[:6], state[6:]),
         turned.response(turned_state[:6], turned_state[6:]),
@@ -188,10 +188,10 @@ def test_a_rotation_and_its_inverse_come_home() -> None:
 
 
 def test_pvdf_poled_in_the_plane_couples_in_the_plane() -> None:
-    law = PVDF.rotated([0, 1, 0]).law(2)
+    law = PVDF.rotated([0, 1, 0]).constitutive_matrix(2)
     np.testing.assert_allclose(law[4, :3], [-0.0307692, 0.075, 0], atol=1e-16)  # -e: e31 along x, e33 along y
     np.testing.assert_allclose(law[3, :3], 0, atol=1e-16)
-    law = PVDF.law(2)  # poled out of the plane: no coupling left in it
+    law = PVDF.constitutive_matrix(2)  # poled out of the plane: no coupling left in it
     np.testing.assert_allclose(law[:3, 3:], 0, atol=1e-16)
 
 
@@ -201,7 +201,7 @@ def test_plane_stress_is_the_three_dimensional_law_with_free_faces(
     name: str, poling: list[float], rng: np.random.Generator
 ) -> None:
     material = BUILT_IN[name].rotated(poling)
-    law = material.law(2, "stress")
+    law = material.constitutive_matrix(2, "stress")
     np.testing.assert_array_equal(law, law.T)
     strain, field = rng.normal(size=(6, 3)), rng.normal(size=(6, 2))
     response = material.response(strain, field, dim=2, plane="stress")
@@ -218,7 +218,7 @@ def test_plane_stress_is_the_three_dimensional_law_with_free_faces(
 
 
 def test_plane_stress_of_an_isotropic_sheet() -> None:
-    law = BUILT_IN["elastic"].law(2, "stress")
+    law = BUILT_IN["elastic"].constitutive_matrix(2, "stress")
     young, poisson = 2500.0, 0.3
     stiff = young / (1 - poisson**2)
     expected = [[stiff, poisson * stiff, 0], [poisson * stiff, stiff, 0], [0, 0, young / (2 * (1 + poisson))]]
@@ -237,7 +237,7 @@ def test_plane_strain_keeps_the_stress_out_of_the_plane() -> None:
 
 def test_bimorph_layer_bends_with_its_modulus_alone() -> None:
     """Tzou's layer, plane stress and T_yy = 0: T_xx = E S_xx - e31 E_y and D_y = e31 S_xx + eps E_y."""
-    law = BUILT_IN["pvdf_tzou"].rotated([0, 1, 0]).law(2, "stress")
+    law = BUILT_IN["pvdf_tzou"].rotated([0, 1, 0]).constitutive_matrix(2, "stress")
     kept, gone = [0, 4], [1, 2]
     beam = law[np.ix_(kept, kept)] - law[np.ix_(kept, gone)] @ np.linalg.solve(
         law[np.ix_(gone, gone)], law[np.ix_(gone, kept)]
@@ -266,9 +266,9 @@ def test_helpers_refuse_what_they_cannot_read() -> None:
     with pytest.raises(ValueError, match=r"Poisson's ratio must lie between -1 and 0\.5, not 0\.5"):
         Material.isotropic(1.0, 0.5)
     with pytest.raises(ValueError, match="not 4"):
-        PVDF.law(4)
+        PVDF.constitutive_matrix(4)
     with pytest.raises(ValueError, match='plane must be "strain" or "stress"'):
-        PVDF.law(2, "axial")  # type: ignore[arg-type]
+        PVDF.constitutive_matrix(2, "axial")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="strain in 2D has 3 components, not 6"):
         PVDF.response(np.zeros(6), dim=2)
 

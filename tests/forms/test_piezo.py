@@ -60,7 +60,7 @@ class Body:
         self.mesh = unit_mesh(comm, cell, order, 2, shaken(2, order))
         self.space = fenicsx.lagrange(self.mesh, order, self.dim + electric)
         self.w = dolfinx.fem.Function(self.space)
-        laws = [BUILT_IN[name].rotated([1, 2, 0.5]).law(self.dim) for name in names]
+        laws = [BUILT_IN[name].rotated([1, 2, 0.5]).constitutive_matrix(self.dim) for name in names]
         cells = fenicsx.original_cells(self.mesh) % len(laws)
         self.scale = SCALE if electric else None
         self.law = constitutive_field(self.mesh, laws, cells.astype(np.int32), self.scale)
@@ -191,7 +191,7 @@ def test_law_field_holds_the_scaled_upper_triangle_of_each_cell(comm: MPI.Comm) 
     for cell, size in (("quadrilateral", 5), ("tetrahedron", 9)):
         mesh = unit_mesh(comm, cell, 1, 3)
         dim = DIMENSION[cell]
-        laws = [BUILT_IN[name].rotated([1, 2, 3]).law(dim) for name in ("pzt4", "elastic", "pvdf")]
+        laws = [BUILT_IN[name].rotated([1, 2, 3]).constitutive_matrix(dim) for name in ("pzt4", "elastic", "pvdf")]
         cells = (fenicsx.original_cells(mesh) % 3).astype(np.int32)
         ones = np.ones(size)
         ones[-dim:] = 7.0
@@ -208,7 +208,7 @@ def test_law_field_holds_the_scaled_upper_triangle_of_each_cell(comm: MPI.Comm) 
 def test_what_does_not_fit_is_refused(comm: MPI.Comm) -> None:
     body = Body(comm, "triangle", 1, "small")
     cells = np.zeros(len(body.law.x.array) // 15, np.int32)
-    elastic = constitutive_field(body.mesh, [BUILT_IN["elastic"].law(2)], cells, None)
+    elastic = constitutive_field(body.mesh, [BUILT_IN["elastic"].constitutive_matrix(2)], cells, None)
     with pytest.raises(ValueError, match="a law of 6 entries does not fit a state of 5 components"):
         enthalpy(body.w, elastic, "small")
     with pytest.raises(ValueError, match='kinematics must be "small" or "finite", not "large"'):

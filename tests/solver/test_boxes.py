@@ -54,7 +54,7 @@ def test_the_coarse_space_holds_rigid_motions_of_each_body(comm: MPI.Comm) -> No
     free = Scene(**{**scene.model_dump(exclude_unset=True), "boundaries": []})
     model = Model(free, create(comm, free.geometry, free.sizes))
     problem = Problem(model, interfaces_of(model), Timer())
-    coarse = boxes.interpolation(model, problem.without_contact())
+    coarse = boxes.interpolation(model, problem.bulk_stiffness())
     assert coarse.size[1] < 0.5 * coarse.size[0]
     ksp = _conjugate_gradients(coarse.transposeMatMult(coarse))  # of the normal equations: the nearest coarse function
     for part in range(2):

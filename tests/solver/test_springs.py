@@ -40,8 +40,8 @@ def weak(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     solve = solver.Newton._solve
 
     def only_stronger(newton: solver.Newton, margin: float, report: NewtonReport) -> None:
-        tried.append(newton.problem.grounding)
-        if newton.problem.grounding == 1.0:
+        tried.append(newton.problem.stabilization_factor)
+        if newton.problem.stabilization_factor == 1.0:
             raise SolveError("it flies to and fro")
         solve(newton, margin, report)
 

@@ -54,9 +54,9 @@ def errors(comm: MPI.Comm, cell: str, order: int, divisions: int, plane: Any) ->
     material = BUILT_IN["pzt5h"].rotated([1, 2, 0] if dim == 2 else [1, 2, -1.5])
     scale = float(np.sqrt(material.stiffness[2, 2] / material.permittivity[2, 2]))
     cells = np.zeros(mesh.topology.index_map(dim).size_local, np.int32)
-    law = constitutive_field(mesh, [material.law(dim, plane)], cells, scale)
+    law = constitutive_field(mesh, [material.constitutive_matrix(dim, plane)], cells, scale)
 
-    scaled = material.law(dim, plane)
+    scaled = material.constitutive_matrix(dim, plane)
     scaled[-dim:] *= scale
     scaled[:, -dim:] *= scale
     chosen = [*range(dim), 3]

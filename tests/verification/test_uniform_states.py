@@ -57,7 +57,7 @@ class Block:
 
     def fill(self, material: Material, plane: Any) -> tuple[Array, float]:
         """Give all cells a material; its law and the potential's scale."""
-        matrix = material.law(self.dim, plane)
+        matrix = material.constitutive_matrix(self.dim, plane)
         scale = float(np.sqrt(material.stiffness[2, 2] / material.permittivity[2, 2]))
         self.law.x.array[:] = self.law_of(matrix, scale).x.array
         return matrix, scale
@@ -167,7 +167,7 @@ def test_pressed_block(cell: str, order: int, comm: MPI.Comm) -> None:
 def test_expected_states_are_those_of_the_reference(
     sides: str, circuit: str, strain: list[float], field: float
 ) -> None:
-    state, gradient = expected(BUILT_IN["pvdf"].law(3), 3, sides, circuit, 4850.0)
+    state, gradient = expected(BUILT_IN["pvdf"].constitutive_matrix(3), 3, sides, circuit, 4850.0)
     np.testing.assert_allclose(state[:3], strain, atol=0.5001e-8)
     np.testing.assert_allclose(state[6:], [0, 0, field], atol=0.5e-7)
     np.testing.assert_allclose(gradient[3] * 4850, [0, 0, -field], atol=0.5e-7)
