@@ -275,7 +275,7 @@ class _Session:
 
 def plan(scene: Scene, comm: MPI.Comm) -> str:
     """What would be modelled and solved, and why; nothing is solved. Collective."""
-    from piezomat.plan import plan_text
+    from piezomat.plan_text import plan_text
 
     with tempfile.TemporaryDirectory() as scratch:
         bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
