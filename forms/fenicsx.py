@@ -188,7 +188,7 @@ def nodes_per_cell(mesh: Any) -> int:
     return int(element.create_dof_layout().num_dofs)
 
 
-def placed(matrix: PETSc.Mat | None, sizes: Any, block: int, csr: Any, comm: MPI.Comm) -> PETSc.Mat:
+def matrix_from_csr(matrix: PETSc.Mat | None, sizes: Any, block: int, csr: Any, comm: MPI.Comm) -> PETSc.Mat:
     """A matrix with the places and values of `csr`: the given one, or in its stead a new one. Collective.
 
     PETSc 3.18 can take new places into a matrix in use, which spares the memory of a second one; 3.22 then writes

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from piezomat.forms import fenicsx
 from piezomat.meshes.builders.sizes import MeshSizes
-from piezomat.meshes.gmsh_io import extract as read_out
+from piezomat.meshes.gmsh_io import extract
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.extract import Arrays, not_facets
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile, blaming, load
@@ -71,7 +71,7 @@ def arrays_of(geometry: Shape | MeshFile, sizes: MeshSizes, save: Path | None = 
             load(geometry.file)
         else:
             _build(geometry, sizes)
-        arrays = read_out.read(sizes.order)
+        arrays = extract.mesh_arrays(sizes.order)
         if save is not None:
             try:
                 gmsh_model.write(save)

@@ -16,7 +16,7 @@ class GhostScatter:
         self._local = PETSc.Vec().createSeq(entries.getSize(), comm=MPI.COMM_SELF)
         self._scatter = PETSc.Scatter().create(vector, entries, self._local, None)
 
-    def take(self, vector: PETSc.Vec) -> Array:
+    def gather(self, vector: PETSc.Vec) -> Array:
         """The entries of a vector."""
         self._scatter.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
         return self._local.array.copy()
@@ -25,7 +25,7 @@ class GhostScatter:
         """Add values to the entries of a vector; what several ranks give to one is summed."""
         self._give(values, result, PETSc.InsertMode.ADD_VALUES)
 
-    def raise_to(self, values: Array, result: PETSc.Vec) -> None:
+    def maximum(self, values: Array, result: PETSc.Vec) -> None:
         """Raise the entries of a vector to values, the largest of what several ranks give to one."""
         self._give(values, result, PETSc.InsertMode.MAX_VALUES)
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
 
@@ -83,3 +84,8 @@ def _reduce(comm: MPI.Comm, values: Array, operation: MPI.Op) -> Array:
     result = np.empty_like(sent)
     comm.Allreduce(sent, result, op=operation)
     return result
+
+
+def redistributed(comm: MPI.Comm, rows: NDArray, rank: NDArray[np.int32]) -> NDArray:
+    """The rows that come to this rank when every row goes to its `rank`. Collective."""
+    return np.concatenate(comm.alltoall([rows[rank == there] for there in range(comm.size)]))

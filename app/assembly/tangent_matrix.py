@@ -124,7 +124,7 @@ class TangentMatrix:
         del bulk
         csr = pattern.pointer, self._columns, values
         if fresh:
-            self.matrix = fenicsx.placed(self.matrix, self._sizes, b, csr, self.comm)
+            self.matrix = fenicsx.matrix_from_csr(self.matrix, self._sizes, b, csr, self.comm)
         else:
             self.matrix.setValuesCSR(*csr)
         self.rebuilds += fresh

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from piezomat.contact.nodal_state import NodalState
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.augmentation import respond
+from piezomat.forms.contact.augmentation import augmented_response
 from piezomat.forms.contact.laws.interface import Response
 from piezomat.meshes import parallel
 
@@ -31,12 +31,12 @@ def answer(p: SurfacePair | RigidPlane, at: NodalState, shift: tuple[Array, Arra
     rows, gap, jump = p.rows[p.met], p.projection.gap, p.jump
     if p.foreseen is not None:
         gap, jump = gap + p.foreseen[0], None if jump is None else jump + p.foreseen[1]
-    return respond(p.law[rows], gap, jump, p.history[rows], shift, pulls=at.pulls, exact=at.exact)
+    return augmented_response(p.law[rows], gap, jump, p.history[rows], shift, attraction=at.pulls, consistent=at.exact)
 
 
 def linearized_response(p: SurfacePair | RigidPlane) -> tuple[Array, Array]:
     """Slope and charge of a pass's points from which a linear law leads to its last response, now or as foreseen."""
-    return (p.response.slope, p.response.charge) if p.foreseen is None else p.response.after(-p.foreseen)
+    return (p.response.slope, p.response.charge) if p.foreseen is None else p.response.linearized(-p.foreseen)
 
 
 def foresee(contact: Contact, change: PETSc.Vec) -> Array:
@@ -64,7 +64,7 @@ def end(contact: Contact) -> None:
 def _foresee(p: SurfacePair | RigidPlane, at: NodalState, change: Array) -> Array:
     last, before = p.response, p.foreseen
     p.foreseen = p.first_changes(at, change)
-    slope, charge = last.after(p.foreseen if before is None else p.foreseen - before)
+    slope, charge = last.linearized(p.foreseen if before is None else p.foreseen - before)
     rows = p.rows[p.met]
     r = answer(p, at, p.shift.at(p.slave.kind, p.points.facet[rows], p.points.xi[rows]))
     weight = p.share * p.points.weight[rows]

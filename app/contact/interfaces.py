@@ -50,9 +50,9 @@ class Contact:
         planes: Sequence[RigidPlane],
         pairs: Pairs,
         potential_scale: float | None,
-        along: PETSc.Vec | None = None,
+        geodesic: PETSc.Vec | None = None,
     ) -> None:
-        """`along`: first components say how far nodes are along their part, over what is far; with self-contact."""
+        """`geodesic`: with self-contact, the nodes' geodesic distances over the neighbourhood, first components."""
         self.comm = comm
         self.pairs = pairs
         self.passes = list(passes)
@@ -65,11 +65,11 @@ class Contact:
         self.cuts = any(p.segments for p in self.passes)
         self.adhesive = any(p.law.adhesion is not None for p in self.passes)
         self.stiffest = comm.allreduce(max(float(p.law.penalty.max(initial=0.0)) for p in self.every), op=MPI.MAX)
-        self.reach = comm.allreduce(max(p.law.reach for p in self.every), op=MPI.MAX)
+        self.reach = comm.allreduce(max(p.law.interaction_range for p in self.every), op=MPI.MAX)
         sizes = [np.log(p.size) for p in self.every]
         total = parallel.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         self._facet = float(np.exp(total[0] / total[1]))  # geometric mean of the facets' sizes, um
-        self._coordinates, self._along = coordinates, along
+        self._coordinates, self._geodesic = coordinates, geodesic
         # What this rank's slave and master facets are made of; what it sees besides changes with every pairing.
         self._surfaces = self._seen([facets.nodes for p in self.passes for facets in (p.slave, p.master)])
         self.margin = 0.0  # of the last pairing, um
@@ -91,7 +91,7 @@ class Contact:
         """
         self.margin = margin
         nodes, exchange, reference = self._surfaces
-        position = reference + exchange.take(state).reshape(-1, self.components)[:, : self.dim]
+        position = reference + exchange.gather(state).reshape(-1, self.components)[:, : self.dim]
         needed = []
         for p in self.passes:
             slave, master = (position[np.searchsorted(nodes, facets.nodes)] for facets in (p.slave, p.master))
@@ -100,7 +100,7 @@ class Contact:
         # All planes meet the same surface.
         needed += [p.slave.nodes for p in self.planes[:1]]
         self.nodes, self._exchange, self._reference = self._seen(needed)
-        along = self.gather(self._along)[:, 0] if self._along is not None else None
+        geodesic = self.gather(self._geodesic)[:, 0] if self._geodesic is not None else None
         values = self.gather(state)
         self._paired_at = self._searched_at = values[:, : self.dim].copy()
         self._searched, self._partners_at = False, None
@@ -108,7 +108,7 @@ class Contact:
         for p in self.passes:
             p.slave_nodes = np.searchsorted(self.nodes, p.slave.nodes)
             p.master_nodes = np.searchsorted(self.nodes, p.visible.nodes)
-            p.own = p.own_surface(self._reference, along) if along is not None else None
+            p.self_contact = p.reference_self_contact(self._reference, geodesic) if geodesic is not None else None
             if p.segments:
                 # Facets that come nearer than this in a step are cut when it has ended.
                 p.cut(position, self.reach + 0.5 * self._facet + 4.0 * self.last_penetration)
@@ -128,7 +128,7 @@ class Contact:
         nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, numbers)]))
         wanted = PETSc.IS().createBlock(self.components, nodes.astype(PETSc.IntType), comm=MPI.COMM_SELF)
         exchange = GhostScatter(self._coordinates, wanted)
-        return nodes, exchange, exchange.take(self._coordinates).reshape(-1, self.components)[:, : self.dim]
+        return nodes, exchange, exchange.gather(self._coordinates).reshape(-1, self.components)[:, : self.dim]
 
     def _meet_clumps(self, p: SurfacePair, position: Array, margin: float) -> None:
         """Find the points near facets that they may meet, and which clumps each of them is near."""
@@ -136,15 +136,17 @@ class Contact:
         facets = p.master_at(position)
         boxed = CandidatePairs.near(points, p.slave.clump[p.points.facet], facets, p.visible.clump, margin, p.rule)
         near, p.candidates = [], []
-        for rows, clump, own in zip(boxed.points, boxed.facets, boxed.own, strict=True):
+        for rows, clump, same_part in zip(boxed.points, boxed.facets, boxed.same_part, strict=True):
             rows = rows[p.meets[rows]]
             slaves = p.points.facet[rows]
-            p.candidates.append(p.near_own(position, np.unique(slaves), clump, margin) if own else None)
-            close = p.candidates[-1].count(slaves) > 0 if own else near_points(points[rows], facets[clump], margin)
+            p.candidates.append(p.near_own(position, np.unique(slaves), clump, margin) if same_part else None)
+            close = (
+                p.candidates[-1].count(slaves) > 0 if same_part else near_points(points[rows], facets[clump], margin)
+            )
             near.append(rows[close])
         p.rows = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
         p.meetings = CandidatePairs(
-            boxed.clump, boxed.own, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near]
+            boxed.clump, boxed.same_part, boxed.facets, [np.searchsorted(p.rows, rows) for rows in near]
         )
 
     def settle(self, iteration: int, residual: float, *, loose: bool) -> None:
@@ -308,7 +310,7 @@ class Contact:
         for p in self.every:
             near, gap = p.rows[p.met], p.gap
             advanced = p.history[near].advanced(gap, p.law[near].touching(gap))
-            p.history = p.law.lost(p.history)
+            p.history = p.law.on_loss_of_contact(p.history)
             p.history.touched[near] = advanced.touched
             p.history.opening[near] = advanced.opening
             p.remember()
@@ -350,8 +352,8 @@ class Contact:
         deepest = 0.0
         for p in self.passes:
             centers, facets = position[p.slave_nodes].mean(axis=1), p.master_at(position)
-            for near, clump, own in zip(p.meetings.points, p.meetings.facets, p.meetings.own, strict=True):
-                if own:
+            for near, clump, same_part in zip(p.meetings.points, p.meetings.facets, p.meetings.same_part, strict=True):
+                if same_part:
                     continue  # a surface lies on its own body
                 slaves = np.unique(p.points.facet[p.rows[near]])
                 depth = deepest_overlap(p.slave.kind, centers[slaves], facets[clump], p.visible.orientation[clump])
@@ -392,7 +394,7 @@ class Contact:
 
     def gather(self, vector: PETSc.Vec) -> Array:
         """Values (n, components) of a distributed vector at the nodes of all passes that this rank sees."""
-        return self._exchange.take(vector).reshape(-1, self.components)
+        return self._exchange.gather(vector).reshape(-1, self.components)
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:
         unknowns = nodes[..., None] * self.components + np.arange(self.components)

@@ -18,15 +18,16 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
-from piezomat.forms.contact.laws.interface import Adhesion, InterfaceLaw, pull_in_range
+from piezomat.forms.contact.laws.interface import Adhesion, InterfaceLaw, stable_electric_range
 from piezomat.forms.contact.laws.lennard_jones import LennardJones
 from piezomat.meshes import parallel
-from piezomat.meshes.contact.geodesic import distance_along
-from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, Rule
-from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks, sent
+from piezomat.meshes.contact.geodesic import geodesic_distance
+from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
+from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks
 from piezomat.meshes.contact.nodal_normals import smoothed
-from piezomat.meshes.contact.self_contact import FAR
+from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
+from piezomat.meshes.parallel import redistributed
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import SIDES, Plane
 from piezomat.scene.sections import Contact as ContactKeys
@@ -54,8 +55,8 @@ def interfaces_of(model: Model) -> Contact | None:
         passes, pairs = _of_scene(model)
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
-    along = _along(model, thickness) if thickness is not None else None
-    return Contact(model.comm, model.space, x, passes, planes, pairs, scale, along)
+    geodesic = _geodesic(model, thickness) if thickness is not None else None
+    return Contact(model.comm, model.space, x, passes, planes, pairs, scale, geodesic)
 
 
 def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:
@@ -82,7 +83,7 @@ def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair]
     penalties depend on: stiffness and permittivity.
     """
     bodies, keys = model.bodies, model.scene.contact
-    rule = Rule(len(bodies.part_bodies), ordered=keys.passes == 1, itself=keys.self_contact)
+    rule = PairingRule(len(bodies.part_bodies), ordered=keys.passes == 1, self_contact=keys.self_contact)
     outside = fenicsx.exterior_facets(model.mesh)
     whole = surface(model.space, "outside", outside, bodies.order)
     kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
@@ -120,12 +121,14 @@ def _listed(model: Model) -> Pairs:
     return Pairs(bodies.bodies, None, listed)
 
 
-def _along(model: Model, thickness: Array) -> PETSc.Vec:
-    """How far the nodes are along their part, over what is far, in the first components of a vector like the state."""
-    far = FAR * thickness[model.node_part]
+def _geodesic(model: Model, thickness: Array) -> PETSc.Vec:
+    """Geodesic distances of the nodes over the neighbourhood, in the first components of a vector like the state."""
+    neighbourhood = NEIGHBOURHOOD * thickness[model.node_part]
     vector = model.coordinate_vector()
     values = np.zeros((model.owned, model.block))
-    values[:, 0] = (distance_along(model.space, model.node_part, len(model.bodies.part_bodies)) / far)[: model.owned]
+    values[:, 0] = (geodesic_distance(model.space, model.node_part, len(model.bodies.part_bodies)) / neighbourhood)[
+        : model.owned
+    ]
     vector.array[:] = values.ravel()
     return vector
 
@@ -218,7 +221,7 @@ def _pass(
     master: Surface,
     slave_clump: Integers,
     master_clump: Integers,
-    rule: Rule,
+    rule: PairingRule,
     first: bool,
     thickness: Array | None = None,
 ) -> SurfacePair:
@@ -230,8 +233,8 @@ def _pass(
     slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
     rank = balanced_ranks(comm, slaves, masters, master.reference, _motion(model) + NEAR * depth, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
-    shared = sent(comm, multiplicity(model.space, slave), rank) if unit else None
-    slaves = slaves.sent(comm, rank)
+    shared = redistributed(comm, multiplicity(model.space, slave), rank) if unit else None
+    slaves = slaves.redistributed(comm, rank)
     points = _points(keys, slaves, shared)
     size = _facet_sizes(slaves)[points.facet]
     materials = [model.materials[i] for i in slave_bodies | master_bodies]
@@ -266,7 +269,7 @@ def _interface_law(
         if keys.electric_range is not None:
             fade = np.full(len(size), keys.electric_range)
         else:
-            fade = np.maximum(FADE * size, pull_in_range(model.largest_voltage(), permittivity, stiffness))
+            fade = np.maximum(FADE * size, stable_electric_range(model.largest_voltage(), permittivity, stiffness))
     adhesion = _adhesion(model, penalty) if adhesive else None
     return InterfaceLaw(penalty, adhesion, electric, fade)
 
@@ -290,7 +293,7 @@ def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:
                 "contact.adhesion.range", f"{keys.range:g}", f"more than strength / normal_penalty = {longest:g} um"
             )
         # A range is the same for all points, the energy up to it is not: it depends on the penalty.
-        return Adhesion.until(keys.strength, keys.range, penalty, keys.starts == "always")
+        return Adhesion.cutoff_at(keys.strength, keys.range, penalty, keys.starts == "always")
     if energy <= 0.5 * keys.strength * longest:
         allowed = (
             f"more than strength^2 / (2 normal_penalty) = {0.5 * keys.strength * longest:g} pJ/um2, or a larger penalty"

@@ -15,10 +15,10 @@ from piezomat.forms.contact.integrals import SlavePoints, first_changes
 from piezomat.forms.contact.laws.interface import Drag, History, InterfaceLaw, Response
 from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
 from piezomat.forms.contact.smoothing import rounded, spread
-from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, Rule
+from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.meshes.contact.local_search import facing_pairs, near_pairs
-from piezomat.meshes.contact.self_contact import Candidates, OwnSurface, Sides
+from piezomat.meshes.contact.self_contact import Candidates, ReferenceFacets, SelfContact
 
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
@@ -77,7 +77,7 @@ class SurfacePair:
     slave: SlaveFacets
     master: GhostFacets
     master_bodies: frozenset[int]
-    rule: Rule
+    rule: PairingRule
     points: SlavePoints
     law: InterfaceLaw
     share: float
@@ -93,7 +93,7 @@ class SurfacePair:
     meetings: CandidatePairs = field(init=False)
     candidates: list[Candidates | None] = field(init=False)
     visible: GhostFacets = field(init=False)
-    own: OwnSurface | None = field(init=False, default=None)
+    self_contact: SelfContact | None = field(init=False, default=None)
     rows: NDArray[np.int64] = field(init=False)
     facet: NDArray[np.int64] = field(init=False)
     xi: Array = field(init=False)
@@ -153,25 +153,25 @@ class SurfacePair:
         self._whole = ~np.isin(points.facet, pairs[0])
         self.history = history[nearest_points(points.facet, points.xi, converged)]
 
-    def own_surface(self, reference: Array, along: Array) -> OwnSurface:
-        """The surface in the undeformed state; nodes are at `reference` (n, d) and so far `along` (n,) their part."""
+    def reference_self_contact(self, reference: Array, geodesic: Array) -> SelfContact:
+        """The surface in the undeformed state; nodes are at `reference` (n, d), with `geodesic` distances (n,)."""
         kind, slave, visible = self.slave.kind, self.slave_at(reference), self.master_at(reference)
-        ours, theirs = along[self.slave_nodes], along[self.master_nodes]
-        return OwnSurface(
-            Sides.of(kind, slave, self.slave.orientation, ours, self.slave_nodes, self.slave.key),
-            Sides.of(kind, visible, self.visible.orientation, theirs, self.master_nodes, self.visible.key),
+        ours, theirs = geodesic[self.slave_nodes], geodesic[self.master_nodes]
+        return SelfContact(
+            ReferenceFacets.of(kind, slave, self.slave.orientation, ours, self.slave_nodes, self.slave.key),
+            ReferenceFacets.of(kind, visible, self.visible.orientation, theirs, self.master_nodes, self.visible.key),
         )
 
     def may_meet(self, slave: NDArray[np.int64], master: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether points of slave facets may meet visible master facets, (k,) each."""
         ours, theirs = self.slave.clump[slave], self.visible.clump[master]
         may = self.rule.allows(ours, theirs)
-        if self.own is not None:
-            joined = np.flatnonzero(may & self.rule.joined(ours, theirs))
+        if self.self_contact is not None:
+            joined = np.flatnonzero(may & self.rule.same_part(ours, theirs))
             pairs = slave[joined], master[joined]
-            may[joined] = self.own.may_meet(*pairs)
+            may[joined] = self.self_contact.may_meet(*pairs)
             if self.rule.ordered:
-                may[joined] &= (ours != theirs)[joined] | self.own.precedes(*pairs)
+                may[joined] &= (ours != theirs)[joined] | self.self_contact.precedes(*pairs)
         return may
 
     def near_own(
@@ -248,7 +248,7 @@ class SurfacePair:
 
     def met_own(self) -> NDArray[np.bool_]:
         """Whether each point of the last evaluation met a facet of its own connected part, (met,)."""
-        return self.rule.joined(self.slave.clump[self.points.facet[self.rows[self.met]]], self.met_clump())
+        return self.rule.same_part(self.slave.clump[self.points.facet[self.rows[self.met]]], self.met_clump())
 
     def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Number of the pair that each point met belongs to, and whether the point is on the first of the two.
@@ -260,9 +260,11 @@ class SurfacePair:
         slave = self.rule.body(self.slave.clump[self.points.facet[self.rows[self.met]]])
         master = self.rule.body(self.met_clump())
         first = slave < master
-        if self.own is not None:
+        if self.self_contact is not None:
             same = np.flatnonzero(slave == master)
-            first[same] = self.own.precedes(self.points.facet[self.rows[self.met[same]]], self.facet[self.met[same]])
+            first[same] = self.self_contact.precedes(
+                self.points.facet[self.rows[self.met[same]]], self.facet[self.met[same]]
+            )
         return pairs.of_bodies(slave, master), first
 
     def keys(self) -> NDArray[np.int64]:

@@ -70,7 +70,7 @@ def surface_terms(p: SurfacePair, at: NodalState, *, tangent: bool, dragged: boo
         at.components,
         there[active] if p.jump is not None else None,
         tangent=tangent,
-        turning=at.exact,
+        geometric_stiffness=at.exact,
         roundings=(p.slave.rounding[facet[active]], p.visible.rounding[partner[active]]),
     )
     d = at.position.shape[1]

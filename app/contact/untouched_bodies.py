@@ -13,7 +13,7 @@ def touching_bodies(model: Model, contact: Contact) -> set[int]:
     """Numbers of the bodies in contact with others or with planes at the last evaluation. Collective."""
     found: set[int] = set()
     for p in contact.every:
-        closed = p.gap <= p.law.rest
+        closed = p.gap <= p.law.equilibrium_gap
         plane = isinstance(p, RigidPlane)
         if not plane:
             closed &= ~p.met_own()  # what touches itself alone is alone

@@ -6,7 +6,7 @@ import numpy as np
 
 from piezomat.contact.interfaces import Contact
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.augmentation import together
+from piezomat.forms.contact.augmentation import electric_share
 from piezomat.meshes import parallel
 
 
@@ -19,7 +19,7 @@ def augment(contact: Contact, tolerance: float, potential_range: float) -> Array
     after, worst = [], np.zeros(2)
     for p in contact.every:
         rows = p.rows[p.met]
-        share, jump = together(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
+        share, jump = electric_share(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
         means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
         new = p.shift.augmented(contact.corner_sums(p, rows, p.points.weight[rows, None] * means))
         size = np.zeros(len(p.slave))

@@ -194,7 +194,7 @@ def pair_table(contact: Contact) -> dict[int, Array]:
         r, gap, rows = p.response, p.projection.gap, p.rows[p.met]
         number, first = p.pairs_met(contact.pairs)
         area = p.points.area[rows]
-        closed = p.gap <= p.law[rows].rest
+        closed = p.gap <= p.law[rows].equilibrium_gap
         # History is that of the converged step, so bonds that broke in it no longer count.
         bonded = p.law[rows].bonded(p.history[rows])
         together = closed | (p.law[rows].status(p.gap, p.history[rows]) == 2)

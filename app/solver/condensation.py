@@ -135,11 +135,11 @@ class Condensation:
         if self.holds:
             return
         residual = self.problem.bulk_residual(x)
-        r = self._exchange.take(residual)
+        r = self._exchange.gather(residual)
         scale = np.abs(r).max(initial=0.0)
         r[self._fixed] = 0.0
         if self._balanced(r, scale):
-            self._base, self._base_residual = self._exchange.take(x), residual
+            self._base, self._base_residual = self._exchange.gather(x), residual
             self.problem.condensed, self.outgrown = self, False
 
     @property
@@ -150,7 +150,7 @@ class Condensation:
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Residual of the bulk at x, were its inside in equilibrium; at fixed unknowns still that of `hold`."""
         self._base_residual.copy(result)
-        change = (self._exchange.take(x) - self._base)[self._places]
+        change = (self._exchange.gather(x) - self._base)[self._places]
         added = np.zeros_like(self._base)
         added[self._places] = self._factors.reduced(change) - self._shift * change
         self._exchange.add(added, result)
@@ -159,7 +159,7 @@ class Condensation:
         """Let the inside of x, left behind by `hold`, follow; whether contact has spread beyond the candidates."""
         if not self.holds:
             return False
-        change = self._exchange.take(x) - self._base
+        change = self._exchange.gather(x) - self._base
         change[self._places] = self._factors.reduced(change[self._places])
         change = self._factors.solve(change)
         change[self._places] = 0.0
@@ -181,7 +181,7 @@ class Condensation:
 
     def solve(self, right: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = (K + C)^-1 right, at the candidates alone while the inside is held; not numbers where singular."""
-        r = self._exchange.take(right)
+        r = self._exchange.gather(right)
         outer = r[self._places]
         condensed = outer
         if not self.holds:

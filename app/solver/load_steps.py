@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.uzawa import augment
-from piezomat.forms.contact.laws.interface import pull_in_range
+from piezomat.forms.contact.laws.interface import stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import NewtonReport, SolveError
@@ -27,7 +27,7 @@ AUGMENTATIONS = 40  # of one solve
 # Facets. A wave of length l in the surface that points press on shortens their way out by half of g (2 pi / l)^2 times
 # its height squared: deep inside, at a gap -g, that frees more energy of the penalty than the wave costs the body.
 DEEP = 0.5
-PULLED_IN = 0.7  # of the gap that `pull_in_range` asks for: less is named as what may have failed a step
+PULLED_IN = 0.7  # of the gap that `stable_electric_range` asks for: less is named as what may have failed a step
 DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
 
 
@@ -182,7 +182,7 @@ class Stepper:
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
         voltage = model.largest_voltage()  # what the bodies make of their strain has never pulled them together
         permittivity = min((m.mean_permittivity for m in model.materials if m.electric), default=0.0)
-        wanted = pull_in_range(voltage, permittivity, min(m.mean_stiffness for m in model.materials))
+        wanted = stable_electric_range(voltage, permittivity, min(m.mean_stiffness for m in model.materials))
         if fade >= PULLED_IN * wanted:
             return ""
         return (

@@ -60,27 +60,27 @@ def corner_kind(kind: FacetKind) -> FacetKind:
     return facet_kind("line2" if kind.dim == 1 else "tri3" if kind.simplex else "quad4")
 
 
-def respond(
+def augmented_response(
     law: InterfaceLaw,
     gap: Array,
     jump: Array | None,
     history: History,
     shift: tuple[Array, Array],
     *,
-    pulls: bool = True,
-    exact: bool = True,
+    attraction: bool = True,
+    consistent: bool = True,
 ) -> Response:
     """The law's response with multipliers: derivatives of its enthalpy less what the multipliers store, pJ/um2."""
     more_gap, more_jump = shift
     shifted = None if jump is None else jump + more_jump
-    r = law.respond(gap + more_gap, shifted, history, pulls=pulls, exact=exact)
+    r = law.respond(gap + more_gap, shifted, history, attraction=attraction, consistent=consistent)
     r.contact = r.contact - 0.5 * law.penalty * more_gap**2
     if jump is not None and law.electric_penalty is not None:
         r.electric = r.electric - 0.5 * law.electric_penalty * more_jump**2
     return r
 
 
-def together(law: InterfaceLaw, response: Response) -> Array:
+def electric_share(law: InterfaceLaw, response: Response) -> Array:
     """Share s (m,) of the electric contact in a response."""
     if law.electric_penalty is None:
         return np.zeros_like(response.slope)

@@ -83,16 +83,16 @@ def contact_vectors(
     potentials: Array | None,
     *,
     tangent: bool,
-    turning: bool = True,
+    geometric_stiffness: bool = True,
     roundings: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array | None]:
     """Residual vectors (m, n_pair, c) and, if asked for, tangents (m, n_pair * c, n_pair * c) of contact points.
 
     The derivative of weight * enthalpy with respect to the pair's unknowns, slave nodes first. `response` is in terms
     of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values; the vectors are made
-    from slope and charge `first` (m,), which differ from the response's where that is foreseen. Not `turning`, the
-    tangent leaves out that tractions turn with the facets. With the `roundings` (m, k, d) of slave and master facet the
-    pair's nodes are their corners alone.
+    from slope and charge `first` (m,), which differ from the response's where that is predicted. Without
+    `geometric_stiffness` the tangent leaves out that tractions turn with the facets. With the `roundings` (m, k, d) of
+    slave and master facet the pair's nodes are their corners alone.
     """
     v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
     along = first[0][:, None] * v.gap
@@ -104,7 +104,7 @@ def contact_vectors(
     vectors = np.einsum("m,mr,mrn->mn", weight, along, rows).reshape(m, nodes, components)
     if not tangent:
         return vectors, None
-    matrix = response.slope[:, None, None] * v.gap2 if turning else np.zeros_like(v.gap2)
+    matrix = response.slope[:, None, None] * v.gap2 if geometric_stiffness else np.zeros_like(v.gap2)
     matrix += response.curvature[:, None, None] * v.gap[:, :, None] * v.gap[:, None, :]
     if v.jump is not None:
         cross = v.gap[:, :, None] * v.jump[:, None, :]

@@ -19,7 +19,7 @@ from piezomat.meshes.contact.surface import global_numbers, node_coordinates
 from piezomat.meshes.ghost_scatter import GhostScatter
 
 
-def distance_along(space: Any, node_part: Integers, parts: int) -> Array:
+def geodesic_distance(space: Any, node_part: Integers, parts: int) -> Array:
     """How far (um) the local nodes of a space are from one end of their connected part, along edges. Collective.
 
     The way leads through the part, along the edges and diagonals of its cells; inf where a node is no corner of a
@@ -91,7 +91,7 @@ def _least_over_ranks(space: Any) -> Callable[[Array], Array]:
 
     def least(values: Array) -> Array:
         whole.array[:] = -np.inf
-        exchange.raise_to(-values, whole)
-        return -exchange.take(whole)
+        exchange.maximum(-values, whole)
+        return -exchange.gather(whole)
 
     return least

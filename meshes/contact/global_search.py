@@ -17,19 +17,19 @@ from scipy.spatial import cKDTree
 
 from piezomat.forms.arrays import Array, Integers
 
-CLUSTER = 64  # facets, or points, in a box of the coarse search
+SEARCH_CLUSTER = 64  # facets, or points, in a box of the coarse search
 
 
 @dataclass(frozen=True)
-class Rule:
+class PairingRule:
     """Which clumps may meet. A clump's number is body * parts + part.
 
-    `ordered`: slaves of the lower body alone; `itself`: with self-contact.
+    `ordered`: slaves of the lower body alone; `self_contact`: with self-contact.
     """
 
     parts: int = 1
     ordered: bool = False
-    itself: bool = False
+    self_contact: bool = False
 
     def clump(self, body: NDArray, part: NDArray) -> Integers:
         """Numbers of clumps."""
@@ -41,17 +41,17 @@ class Rule:
 
     def allows(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
         """Whether points of the slave clumps may meet facets of the master clumps."""
-        may = np.full(np.broadcast(slave, master).shape, self.itself)
-        may |= (self.body(slave) != self.body(master)) & ~self.joined(slave, master)
+        may = np.full(np.broadcast(slave, master).shape, self.self_contact)
+        may |= (self.body(slave) != self.body(master)) & ~self.same_part(slave, master)
         return may & (slave <= master) if self.ordered else may
 
-    def joined(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
+    def same_part(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
         """Whether clumps belong to the same connected part."""
         return slave % self.parts == master % self.parts
 
 
 # One surface against another, whatever bodies they belong to: they stand for part 0 of body 0 and part 1 of body 1.
-ONE_TO_ONE = Rule(parts=2)
+ONE_TO_ONE = PairingRule(parts=2)
 SLAVE, MASTER = 0, 3
 
 
@@ -84,7 +84,7 @@ class Clusters:
     members: list[Integers]
 
     @classmethod
-    def of(cls, low: Array, high: Array, clump: Integers, size: int = CLUSTER) -> Clusters:
+    def of(cls, low: Array, high: Array, clump: Integers, size: int = SEARCH_CLUSTER) -> Clusters:
         """Clusters of at most `size` things with extents low, high (n, d)."""
         middle = 0.5 * (low + high)
         order = np.argsort(clump, kind="stable")
@@ -132,7 +132,7 @@ def share_facets(
     master: GhostFacets,
     master_positions: Array,
     margin: float,
-    rule: Rule,
+    rule: PairingRule,
 ) -> GhostFacets:
     """Master facets of all ranks that come within `margin` of slave facets of this rank that may meet them. Collective.
 
@@ -162,17 +162,23 @@ def share_facets(
 class CandidatePairs:
     """What points are near: for each clump of facets its number, its facets, and the points that may meet it.
 
-    Points that are of the same connected part, `own`, come by themselves.
+    Points that are of the same connected part, `same_part`, come by themselves.
     """
 
     clump: Integers
-    own: NDArray[np.bool_]
+    same_part: NDArray[np.bool_]
     facets: list[Integers]
     points: list[Integers]
 
     @classmethod
     def near(
-        cls, points: Array, point_clump: Integers, facets: Array, facet_clump: Integers, margin: float, rule: Rule
+        cls,
+        points: Array,
+        point_clump: Integers,
+        facets: Array,
+        facet_clump: Integers,
+        margin: float,
+        rule: PairingRule,
     ) -> CandidatePairs:
         """Of points (m, d) and facets (f, n, d), all whose boxes come within `margin` of each other."""
         mine = Clusters.of(points, points, point_clump)
@@ -180,13 +186,13 @@ class CandidatePairs:
         a, b = overlapping(mine.boxes, theirs.boxes, margin)
         allowed = rule.allows(mine.clump[a], theirs.clump[b])
         a, clump = a[allowed], theirs.clump[b[allowed]]
-        own = rule.joined(mine.clump[a], clump)
+        same_part = rule.same_part(mine.clump[a], clump)
         if not len(clump):
-            return cls(clump, own, [], [])
+            return cls(clump, same_part, [], [])
         by_clump = np.argsort(facet_clump, kind="stable")
         numbers, first = np.unique(facet_clump[by_clump], return_index=True)
         of_clump = dict(zip(numbers.tolist(), np.split(by_clump, first[1:]), strict=True))
-        found = np.unique(np.stack([clump, own, a], axis=1), axis=0)
+        found = np.unique(np.stack([clump, same_part, a], axis=1), axis=0)
         met, start = np.unique(found[:, :2], axis=0, return_index=True)
         boxes = np.split(found[:, 2], start[1:])
         near = [np.concatenate([mine.members[box] for box in group]) for group in boxes]

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
-from piezomat.meshes.contact.global_search import Clusters, GhostFacets, Rule, overlapping
+from piezomat.meshes.contact.global_search import Clusters, GhostFacets, PairingRule, overlapping
 from piezomat.meshes.contact.surface import Surface, global_numbers
+from piezomat.meshes.parallel import redistributed
 
-CLUSTER = 8  # neighbouring facets of a clump that stay together
+BALANCE_CLUSTER = 8  # neighbouring facets of a clump that stay together
 ALONE = 0.01  # what a facet that no other body is near costs, over one in contact
 UNEVEN = 1.2  # most work of a rank over the mean: what is more even stays where its cells are
 
@@ -44,19 +45,14 @@ class SlaveFacets:
     def __len__(self) -> int:
         return len(self.nodes)
 
-    def sent(self, comm: MPI.Comm, rank: NDArray[np.int32]) -> SlaveFacets:
+    def redistributed(self, comm: MPI.Comm, rank: NDArray[np.int32]) -> SlaveFacets:
         """The facets that come to this rank when every facet goes to its `rank` (f,). Collective."""
         names = [field.name for field in fields(self) if field.name != "kind"]
-        return replace(self, **{name: sent(comm, getattr(self, name), rank) for name in names})
-
-
-def sent(comm: MPI.Comm, rows: NDArray, rank: NDArray[np.int32]) -> NDArray:
-    """The rows that come to this rank when every row goes to its `rank`. Collective."""
-    return np.concatenate(comm.alltoall([rows[rank == there] for there in range(comm.size)]))
+        return replace(self, **{name: redistributed(comm, getattr(self, name), rank) for name in names})
 
 
 def balanced_ranks(
-    comm: MPI.Comm, slave: SlaveFacets, master: GhostFacets, master_reference: Array, margin: float, rule: Rule
+    comm: MPI.Comm, slave: SlaveFacets, master: GhostFacets, master_reference: Array, margin: float, rule: PairingRule
 ) -> NDArray[np.int32]:
     """The rank (f,) where each slave facet should go for all ranks to have as many that another body is near.
 
@@ -67,7 +63,7 @@ def balanced_ranks(
     if comm.size == 1:
         return rank
     clusters, masters = (
-        Clusters.of(nodes.min(axis=1), nodes.max(axis=1), clump, CLUSTER)
+        Clusters.of(nodes.min(axis=1), nodes.max(axis=1), clump, BALANCE_CLUSTER)
         for nodes, clump in ((slave.reference, slave.clump), (master_reference, master.clump))
     )
     boxes, clump = (
@@ -75,7 +71,7 @@ def balanced_ranks(
     )
     i, j = overlapping(clusters.boxes, boxes, margin)
     # What meets its own part is near itself everywhere.
-    meets = rule.allows(clusters.clump[i], clump[j]) & ~rule.joined(clusters.clump[i], clump[j])
+    meets = rule.allows(clusters.clump[i], clump[j]) & ~rule.same_part(clusters.clump[i], clump[j])
     i, j = i[meets], j[meets]
     apart = np.maximum(boxes[j, 0] - clusters.boxes[i, 1], clusters.boxes[i, 0] - boxes[j, 1]).max(axis=1, initial=0.0)
     # What is nearer has contact for more of the motion.
@@ -87,13 +83,13 @@ def balanced_ranks(
     if shares.max() <= UNEVEN * shares.mean():
         return rank
     places = np.concatenate(comm.allgather(clusters.boxes.mean(axis=1)))
-    dealt = halved(places, np.concatenate(works), comm.size)
+    dealt = bisected(places, np.concatenate(works), comm.size)
     for members, there in zip(clusters.members, dealt[sum(map(len, works[: comm.rank])) :], strict=False):
         rank[members] = there
     return rank
 
 
-def halved(places: Array, work: Array, count: int) -> NDArray[np.int32]:
+def bisected(places: Array, work: Array, count: int) -> NDArray[np.int32]:
     """Which of `count` groups of equal work each of some places (n, d) belongs to, neighbours to the same if possible.
 
     Recursive bisection across the longer side of where the work is (Berger and Bokhari, IEEE Trans. Computers C-36

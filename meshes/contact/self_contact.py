@@ -21,40 +21,43 @@ from piezomat.meshes.contact.local_search import FACING
 # Thicknesses along a part that are its own neighbourhood. The way through a fiber to its far side is shorter, although
 # it follows edges of cells; that along a fiber bent until it touches itself is longer unless its bend is narrower than
 # two diameters.
-FAR = 3.0
+NEIGHBOURHOOD = 3.0
 
 
 @dataclass(frozen=True)
-class Sides:
-    """Facets in the undeformed state: middle and normal (f, d), along (f,), node numbers (f, n) and key (f,)."""
+class ReferenceFacets:
+    """Facets in the undeformed state.
+
+    middle, normal (f, d); geodesic (f,): distance over the neighbourhood; nodes (f, n): numbers; key (f,).
+    """
 
     middle: Array
     normal: Array
-    along: Array
+    geodesic: Array
     nodes: Integers
     key: Integers
 
     @classmethod
     def of(
-        cls, kind: FacetKind, facets: Array, orientation: Array, along: Array, nodes: Integers, key: Integers
-    ) -> Sides:
-        """Those of facets (f, n, d) whose nodes are so far along their part, `distance_along` over what is far."""
+        cls, kind: FacetKind, facets: Array, orientation: Array, geodesic: Array, nodes: Integers, key: Integers
+    ) -> ReferenceFacets:
+        """Of facets (f, n, d), with the `geodesic_distance` (f, n) of their nodes over the neighbourhood."""
         xi = np.tile(kind.middle, (len(facets), 1))
         middle = np.einsum("mk,mkd->md", kind.shape(xi), facets)
         # What lies between corners has no distance.
-        return cls(middle, point_normals(kind, xi, facets, orientation), along.min(axis=1), nodes, key)
+        return cls(middle, point_normals(kind, xi, facets, orientation), geodesic.min(axis=1), nodes, key)
 
 
 @dataclass(frozen=True)
-class OwnSurface:
+class SelfContact:
     """Slave and master facets of the same parts."""
 
-    slave: Sides
-    master: Sides
+    slave: ReferenceFacets
+    master: ReferenceFacets
 
     def may_meet(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
         """Whether points of slave facets i may meet master facets j, (k,) each."""
-        far = np.abs(self.slave.along[i] - self.master.along[j]) > 1.0
+        far = np.abs(self.slave.geodesic[i] - self.master.geodesic[j]) > 1.0
         near = np.flatnonzero(~far)
         i, j = i[near], j[near]
         away = self.master.middle[j] - self.slave.middle[i]
@@ -68,7 +71,7 @@ class OwnSurface:
 
     def precedes(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
         """Whether slave facets i come before master facets j along the part, (k,) each."""
-        ours, theirs = self.slave.along[i], self.master.along[j]
+        ours, theirs = self.slave.geodesic[i], self.master.geodesic[j]
         return (ours < theirs) | ((ours == theirs) & (self.slave.key[i] < self.master.key[j]))
 
 

@@ -54,7 +54,7 @@ class Arrays:
         return replace(self, **{name: getattr(self, name)[:0].copy() for name in names})
 
 
-def read(order: int) -> Arrays:
+def mesh_arrays(order: int) -> Arrays:
     """Arrays of the current gmsh model, its cells made of the given order. Raises MeshError."""
     dim = dimension()
     bodies, facet_groups = groups(dim)

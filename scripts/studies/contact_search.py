@@ -20,7 +20,7 @@ from mpi4py import MPI
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.gap import point_normals
-from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, Rule, share_facets
+from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule, share_facets
 from piezomat.meshes.contact.local_search import closest_facets, near_points
 
 RADIUS, SPACING, GAP, MARGIN = 0.5, 2.0, 0.01, 0.3
@@ -49,7 +49,7 @@ def facets_of_plies(first: int, last: int) -> Array:
 
 def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
     """Processor time (s) to pair the centres of this rank's facets, how many found a partner, facets it must see."""
-    kind, rule, each = facet_kind("quad4"), Rule(parts=count), AROUND * ALONG
+    kind, rule, each = facet_kind("quad4"), PairingRule(parts=count), AROUND * ALONG
     first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
     nodes = facets_of_plies(first, last)
     fiber = np.repeat(np.arange(first, last), each)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.forms.contact.augmentation import Shift, respond
+from piezomat.forms.contact.augmentation import Shift, augmented_response
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.laws.interface import Adhesion, History, InterfaceLaw
 from piezomat.scene.scene import Scene, SceneError
@@ -142,10 +142,10 @@ def test_responses_are_derivatives_of_the_enthalpy(rng: np.random.Generator) -> 
     smooth = np.min([np.abs(seen - kink) for kink in (0.0, 0.0025, 0.004, 0.018, 0.02)], axis=0) > 1e-5
 
     def enthalpy(more_gap: float, more_jump: float) -> np.ndarray:
-        r = respond(law, gap + more_gap, jump + more_jump, history, shift)
+        r = augmented_response(law, gap + more_gap, jump + more_jump, history, shift)
         return r.contact + r.adhesion + r.dissipated - r.electric
 
-    r = respond(law, gap, jump, history, shift)
+    r = augmented_response(law, gap, jump, history, shift)
     slope = (enthalpy(h, 0.0) - enthalpy(-h, 0.0)) / (2 * h)
     charge = (enthalpy(0.0, h) - enthalpy(0.0, -h)) / (2 * h)
     np.testing.assert_allclose(r.slope[smooth], slope[smooth], atol=1e-5)

@@ -18,7 +18,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
-from piezomat.meshes.contact.geodesic import distance_along
+from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.local_search import brute_force_facets
 from piezomat.scene.scene import Scene
 from piezomat.simulation import run
@@ -203,13 +203,13 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     model, contact, position = moved(scene, closing)
     (p,) = contact.passes
     rows, partner = p.rows[p.met], p.facet[p.met]
-    here, there = p.own.slave.middle[p.points.facet[rows], 2], p.own.master.middle[partner, 2]
+    here, there = p.self_contact.slave.middle[p.points.facet[rows], 2], p.self_contact.master.middle[partner, 2]
     assert (here * there < 0.0).all() and (np.abs([here, there]) < RADIUS + 0.5 * LEGS_APART).all()
     kind, own = p.slave.kind, p.points.facet
     slave, master = p.slave_at(position), p.master_at(position)
     points = np.einsum("mk,mkd->md", p.points.shape, slave[own])
     normals = point_normals(kind, p.points.xi, slave[own], p.slave.orientation[own])
-    some = np.union1d(rng.choice(len(points), 150, replace=False), rows[p.projection.gap < p.law.reach])
+    some = np.union1d(rng.choice(len(points), 150, replace=False), rows[p.projection.gap < p.law.interaction_range])
     pairs = np.meshgrid(own[some], np.arange(len(master)), indexing="ij")
     may = p.may_meet(*(index.ravel() for index in pairs)).reshape(pairs[0].shape)
     given = points[some], normals[some], master, p.visible.orientation, p.visible.key, p.depth
@@ -219,7 +219,7 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     gap[hit] = project(kind, points[some][hit], master[found[hit]], p.visible.orientation[found[hit]]).gap
     met = np.full(len(points), -1)
     met[rows] = partner
-    near = gap < p.law.reach
+    near = gap < p.law.interaction_range
     assert near.sum() > 20
     np.testing.assert_array_equal(met[some][near], found[near])
     assert (p.projection.gap < 0.0).any() and not touching_bodies(model, contact)
@@ -240,12 +240,12 @@ def test_what_did_not_face_each_other_may_meet_if_it_is_far_along(tmp_path: Path
     (p,) = contact.passes
     deep = np.flatnonzero(p.projection.gap < 0.0)
     here, there = p.points.facet[p.rows[p.met[deep]]], p.facet[p.met[deep]]
-    slave, master = p.own.slave, p.own.master
+    slave, master = p.self_contact.slave, p.self_contact.master
     end = slave.middle[here, 0] < -0.5 * LEG
     assert end.sum() > 10
     away = master.middle[there] - slave.middle[here]
     behind = np.einsum("md,md->m", away, slave.normal[here]) < 0.0
-    assert behind[end].all() and (np.abs(slave.along[here] - master.along[there])[behind] > 1.0).all()
+    assert behind[end].all() and (np.abs(slave.geodesic[here] - master.geodesic[there])[behind] > 1.0).all()
 
 
 @pytest.mark.mpi
@@ -259,7 +259,7 @@ def test_distance_along_a_fiber_is_that_from_its_end(comm: MPI.Comm, shared_tmp_
     for on in (comm, MPI.COMM_SELF):
         scene = pressed_hairpin(path, bodies="*")
         model = Model(scene, create(on, scene.geometry, scene.sizes))
-        x, distance = model.coordinates, distance_along(model.space, model.node_part, 2)
+        x, distance = model.coordinates, geodesic_distance(model.space, model.node_part, 2)
         found.append(dict(zip(map(bytes, np.ascontiguousarray(x)), distance, strict=True)))
         for start, end, y, radius in ((0.0, 6.0, 0.0, RADIUS), (1.0, 3.0, 3.0, 0.2)):
             of = np.abs(x[:, 1] - y) < 1.0

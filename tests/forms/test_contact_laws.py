@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.interface import CUTOFF_DROP, RELEASE, Adhesion, History, InterfaceLaw, Response
+from piezomat.forms.contact.laws.interface import (
+    CUTOFF_DROP,
+    ELECTRIC_RELEASE,
+    Adhesion,
+    History,
+    InterfaceLaw,
+    Response,
+)
 
 STRENGTH, ENERGY, PENALTY, RHO, FADE = 5.0, 0.05, 2000.0, 0.3, 0.004
 ELASTIC = STRENGTH / PENALTY  # 0.0025 um
@@ -58,7 +65,7 @@ def samples(law: InterfaceLaw, rng: np.random.Generator, count: int = 400) -> tu
     kinks = [np.zeros_like(gap), history.opening]
     if law.adhesion is not None:
         a = law.adhesion
-        kinks += [np.full_like(gap, float(k[0])) for k in (a.elastic, a.plateau, a.final, RELEASE * a.final)]
+        kinks += [np.full_like(gap, float(k[0])) for k in (a.elastic, a.plateau, a.final, ELECTRIC_RELEASE * a.final)]
     kinks += [np.full_like(gap, FADE)]
     far = np.min([np.abs(gap - k) for k in kinks], axis=0) > 5e-6
     return gap[far], history[far]
@@ -97,7 +104,7 @@ def test_without_pulling_the_electric_contact_leaves_the_traction_alone(
     kind: str, always: bool, rng: np.random.Generator
 ) -> None:
     law, gap, jump, history, mechanical = electrified(kind, always, rng)
-    pulling, idle = law.respond(gap, jump, history), law.respond(gap, jump, history, pulls=False)
+    pulling, idle = law.respond(gap, jump, history), law.respond(gap, jump, history, attraction=False)
     for name in ("charge", "electric_curvature", "electric"):
         np.testing.assert_array_equal(getattr(idle, name), getattr(pulling, name))
     for name in ("slope", "curvature", "mixed"):
@@ -110,7 +117,7 @@ def test_an_inexact_tangent_leaves_out_what_the_electric_contact_adds_below_zero
     kind: str, always: bool, rng: np.random.Generator
 ) -> None:
     law, gap, jump, history, mechanical = electrified(kind, always, rng)
-    exact, inexact = law.respond(gap, jump, history), law.respond(gap, jump, history, exact=False)
+    exact, inexact = law.respond(gap, jump, history), law.respond(gap, jump, history, consistent=False)
     np.testing.assert_array_equal(inexact.curvature, np.maximum(exact.curvature, mechanical.curvature))
     assert (exact.curvature < inexact.curvature).any()
     for name in ("slope", "charge", "mixed", "electric_curvature", "contact", "electric"):
@@ -163,7 +170,7 @@ def path(law: InterfaceLaw, rng: np.random.Generator, turns: int = 8) -> list[fl
     kinks = [0.0, *ends]
     if law.adhesion is not None:
         a = law.adhesion
-        kinks += [float(k[0]) for k in (a.elastic, a.plateau, a.final, RELEASE * a.final)]
+        kinks += [float(k[0]) for k in (a.elastic, a.plateau, a.final, ELECTRIC_RELEASE * a.final)]
     kinks.append(FADE)
     stops = ends[:1]
     for a, b in pairwise(ends):
@@ -237,7 +244,7 @@ def test_shapes_of_the_laws() -> None:
 
 def test_cutoff_by_range() -> None:
     penalty = np.array([PENALTY, 2.0 * PENALTY])
-    a = Adhesion.until(STRENGTH, 0.01, penalty)
+    a = Adhesion.cutoff_at(STRENGTH, 0.01, penalty)
     np.testing.assert_allclose(0.5 * (a.plateau + a.final), 0.01, rtol=1e-14)
     # A triangle up to the strength, then a plateau to the cut: the range is the same for all points, the energy not.
     np.testing.assert_allclose(a.energy, STRENGTH * (0.01 - 0.5 * STRENGTH / penalty), rtol=1e-13)
@@ -342,10 +349,10 @@ def test_potentials_stay_equal_in_contact_and_while_bonded(kind: str, always: bo
     if law.adhesion is None:
         return
     final = float(law.adhesion.final[0])
-    bonded = np.linspace(0.0, RELEASE * final, 20)
+    bonded = np.linspace(0.0, ELECTRIC_RELEASE * final, 20)
     touched = History(np.ones(20, bool), np.zeros(20))
     np.testing.assert_allclose(switch(law, bonded, touched), 1.0, atol=1e-14)
-    fading = switch(law, np.linspace(RELEASE * final, final, 20), touched)
+    fading = switch(law, np.linspace(ELECTRIC_RELEASE * final, final, 20), touched)
     assert (np.diff(fading) < 0.0).all() and abs(fading[-1]) < 1e-14
     # Once released it does not come back unless the gap is small.
     broken = History(np.ones(20, bool), np.full(20, 1.1 * final))
@@ -362,7 +369,7 @@ def test_electric_switch_is_once_smooth(kind: str, always: bool) -> None:
     law = interface(kind, always, electric=True)
     gap = np.linspace(-0.5 * FADE, 1.2 * FINAL, 20001)
     step = gap[1] - gap[0]
-    width = FADE if law.adhesion is None else min(FADE, (1.0 - RELEASE) * float(law.adhesion.final[0]))
+    width = FADE if law.adhesion is None else min(FADE, (1.0 - ELECTRIC_RELEASE) * float(law.adhesion.final[0]))
     states = histories()
     for i in range(len(states.opening)):
         rows = np.full(len(gap), i)
@@ -404,9 +411,9 @@ def test_status_and_bonds(kind: str, always: bool) -> None:
 def test_nothing_answers_beyond_the_reach(kind: str, always: bool) -> None:
     for electric in (False, True):
         law = interface(kind, always, electric=electric)
-        far = np.array([law.reach + 1e-14])
+        far = np.array([law.interaction_range + 1e-14])
         if kind == "unilateral":
-            assert law.reach == (FADE if electric else 0.0)
+            assert law.interaction_range == (FADE if electric else 0.0)
         for touched in (False, True):
             r = law.respond(far, np.ones(1), History(np.array([touched]), np.zeros(1)))
             assert not r.slope.any() and not r.charge.any() and not r.curvature.any()
@@ -441,7 +448,7 @@ def test_no_points_are_no_trouble() -> None:
     for kind, always in LAWS:
         law = interface(kind, always, points=0, electric=True)
         assert law.respond(none, none, History.virgin(0)).slope.shape == (0,)
-        assert law.reach == 0.0
+        assert law.interaction_range == 0.0
 
 
 @pytest.mark.parametrize("make", [Adhesion.bilinear, Adhesion.cutoff])
@@ -470,7 +477,7 @@ def test_what_attracts_from_the_start_touches_within_its_elastic_opening() -> No
 def test_bonds_of_points_that_meet_nothing_any_more_are_torn(kind: str, always: bool) -> None:
     law = on_all(interface(kind, always), 3)
     history = History(np.array([False, True, True]), np.array([0.0, 0.3 * FINAL, 3.0 * FINAL]))
-    torn = law.lost(history)
+    torn = law.on_loss_of_contact(history)
     assert not law.bonded(torn).any()
     np.testing.assert_array_equal(torn.touched, history.touched)
     assert (torn.opening >= history.opening).all()

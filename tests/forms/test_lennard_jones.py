@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.interface import History, InterfaceLaw
-from piezomat.forms.contact.laws.lennard_jones import FAR, LennardJones
+from piezomat.forms.contact.laws.lennard_jones import CUTOFF_START, LennardJones
 from piezomat.scene.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver.load_steps import SNAP_CUTBACKS
@@ -31,18 +31,18 @@ def traction(gap: Array) -> Array:
 
 
 def test_the_traction_is_that_of_the_reference() -> None:
-    gap = np.linspace(LAW.near[0], FAR * LAW.distance, 500)
+    gap = np.linspace(LAW.near[0], CUTOFF_START * LAW.distance, 500)
     np.testing.assert_allclose(traction(gap), [-EXACT.pressure(g) for g in gap], rtol=1e-12, atol=1e-12 * STRENGTH)
 
 
 def test_rest_strongest_pull_and_work_are_the_closed_forms() -> None:
-    assert pytest.approx(EXACT.equilibrium, rel=1e-13) == LAW.rest
+    assert pytest.approx(EXACT.equilibrium, rel=1e-13) == LAW.equilibrium_gap
     assert pytest.approx(EXACT.pull, rel=1e-13) == STRENGTH
     assert traction(np.array([EXACT.pull_gap]))[0] == pytest.approx(STRENGTH, rel=1e-13)
     gap = np.linspace(LAW.near[0], float(LAW.final[0]), 200_001)
     assert traction(gap).max() == pytest.approx(STRENGTH, rel=1e-6)
     # The energy is the work up to the end of the tail; without an end it would be 1.1 % more.
-    opening = np.linspace(LAW.rest, float(LAW.final[0]), 400_001)
+    opening = np.linspace(LAW.equilibrium_gap, float(LAW.final[0]), 400_001)
     values = traction(opening)
     assert (values[:-1] + values[1:]).sum() * np.diff(opening)[0] / 2 == pytest.approx(ENERGY, rel=1e-6)
     assert EXACT.work == pytest.approx(ENERGY, rel=0.012)
@@ -55,8 +55,8 @@ def test_rest_strongest_pull_and_work_are_the_closed_forms() -> None:
 def test_slopes_are_derivatives_of_the_energy(electric: bool, rng: np.random.Generator) -> None:
     """From deep penetration through the law to beyond its end."""
     r0 = LAW.distance
-    gap = np.concatenate([rng.uniform(-0.2, 2.0, 400), rng.uniform(2.0, 2.2 * FAR, 400)]) * r0
-    kinks = np.array([LAW.near[0], FAR * r0, 2.0 * FAR * r0, LAW.rest])
+    gap = np.concatenate([rng.uniform(-0.2, 2.0, 400), rng.uniform(2.0, 2.2 * CUTOFF_START, 400)]) * r0
+    kinks = np.array([LAW.near[0], CUTOFF_START * r0, 2.0 * CUTOFF_START * r0, LAW.equilibrium_gap])
     gap = gap[np.abs(gap[:, None] - kinks).min(axis=1) > 1e-4 * r0]
     jump = rng.uniform(-2.0, 2.0, len(gap)) if electric else None
     law = interface(len(gap), electric)
@@ -76,19 +76,21 @@ def test_slopes_are_derivatives_of_the_energy(electric: bool, rng: np.random.Gen
 
 
 def test_law_penalty_and_tail_meet_with_one_slope() -> None:
-    for place in (LAW.near[0], FAR * LAW.distance, 2.0 * FAR * LAW.distance):
+    for place in (LAW.near[0], CUTOFF_START * LAW.distance, 2.0 * CUTOFF_START * LAW.distance):
         gap = place + np.array([-1e-9, 1e-9]) * LAW.distance
         r = interface(2).respond(gap, None, History.virgin(2))
         assert r.slope[1] - r.slope[0] == pytest.approx(0.0, abs=1e-5 * STRENGTH)
         assert r.curvature[1] == pytest.approx(r.curvature[0], abs=1e-5 * PENALTY)
     deep = interface(2).respond(np.array([-1e-3, 0.0]), None, History.virgin(2))
     np.testing.assert_allclose(deep.curvature, PENALTY, rtol=1e-14)
-    assert (interface(1).respond(np.array([2.0 * FAR * LAW.distance]), None, History.virgin(1)).slope == 0.0).all()
-    assert interface(1).reach == pytest.approx(2.0 * FAR * LAW.distance)
+    assert (
+        interface(1).respond(np.array([2.0 * CUTOFF_START * LAW.distance]), None, History.virgin(1)).slope == 0.0
+    ).all()
+    assert interface(1).interaction_range == pytest.approx(2.0 * CUTOFF_START * LAW.distance)
 
 
 def test_stored_energy_is_zero_far_off_and_lowest_at_rest() -> None:
-    gap = np.array([1e30, LAW.rest, 0.9 * LAW.rest])
+    gap = np.array([1e30, LAW.equilibrium_gap, 0.9 * LAW.equilibrium_gap])
     r = interface(3).respond(gap, None, History.virgin(3))
     np.testing.assert_allclose(r.adhesion, [0.0, -ENERGY, -ENERGY], atol=1e-12 * ENERGY)
     assert r.contact[2] > 0.0 and r.contact[0] == r.contact[1] == 0.0
@@ -97,7 +99,7 @@ def test_stored_energy_is_zero_far_off_and_lowest_at_rest() -> None:
 
 def test_nothing_is_remembered_and_potentials_are_joined_where_surfaces_rest() -> None:
     law = interface(3, electric=True)
-    gap = np.array([0.5 * LAW.rest, LAW.rest, LAW.rest + 0.0041])
+    gap = np.array([0.5 * LAW.equilibrium_gap, LAW.equilibrium_gap, LAW.equilibrium_gap + 0.0041])
     history = History.virgin(3).advanced(gap, law.touching(gap))
     assert not history.touched.any() and not law.bonded(history).any()
     np.testing.assert_array_equal(law.status(gap, history), [1, 1, 0])
@@ -106,7 +108,9 @@ def test_nothing_is_remembered_and_potentials_are_joined_where_surfaces_rest() -
 
 
 def test_a_penalty_softer_than_the_law_is_an_error() -> None:
-    at_rest = (EXACT.pressure(LAW.rest * (1 - 1e-6)) - EXACT.pressure(LAW.rest * (1 + 1e-6))) / (2e-6 * LAW.rest)
+    at_rest = (EXACT.pressure(LAW.equilibrium_gap * (1 - 1e-6)) - EXACT.pressure(LAW.equilibrium_gap * (1 + 1e-6))) / (
+        2e-6 * LAW.equilibrium_gap
+    )
     LennardJones.of(STRENGTH, ENERGY, np.array([1.001 * at_rest]))
     with pytest.raises(ValueError, match="softer than the law at rest"):
         LennardJones.of(STRENGTH, ENERGY, np.array([1.001 * at_rest, 0.999 * at_rest]))
@@ -115,7 +119,7 @@ def test_a_penalty_softer_than_the_law_is_an_error() -> None:
 @pytest.mark.mpi
 def test_blocks_attract_and_repel_as_the_law_says(comm: MPI.Comm) -> None:
     """Two stiff blocks brought together from beyond the law's reach and pressed: at each step the force is T(gap)."""
-    young, start, r0 = 1e6, 2.2 * FAR * LAW.distance, LAW.distance
+    young, start, r0 = 1e6, 2.2 * CUTOFF_START * LAW.distance, LAW.distance
     scene = press(
         {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 1], [3, 1]], "gap": start},
         mesh={"cells": "tensor"},
@@ -138,7 +142,7 @@ def test_blocks_attract_and_repel_as_the_law_says(comm: MPI.Comm) -> None:
     gap = start - np.array([row["factor:approach"] for row in history]) - force / young
     assert force.max() > 0.9 * STRENGTH and force.min() < -STRENGTH
     np.testing.assert_allclose(force, traction(gap), atol=1e-6 * STRENGTH)
-    inside = (gap > LAW.near[0]) & (gap < FAR * r0)
+    inside = (gap > LAW.near[0]) & (gap < CUTOFF_START * r0)
     assert inside.sum() > 25
     expected = [-EXACT.pressure(g) for g in gap[inside]]
     np.testing.assert_allclose(force[inside], expected, atol=1e-6 * STRENGTH)
@@ -156,7 +160,7 @@ COMPLIANCE = 3.0 / float(LAW.steepness[0])  # of both blocks, one um together: t
 
 def soft_blocks(steps: int) -> Scene:
     """Blocks softer than the law's fall, brought together and apart: the distance is start - approach."""
-    r0, start = LAW.distance, 2.2 * FAR * LAW.distance
+    r0, start = LAW.distance, 2.2 * CUTOFF_START * LAW.distance
     return press(
         {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[2, 1], [2, 1]], "gap": start},
         mesh={"cells": "tensor"},
@@ -179,7 +183,7 @@ def soft_blocks(steps: int) -> Scene:
 def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
     """Blocks softer than the law's fall: they follow the far branch in, the near one out, and jump where each ends."""
     r0, steps = LAW.distance, 40
-    start = 2.2 * FAR * r0
+    start = 2.2 * CUTOFF_START * r0
     history = run(soft_blocks(steps), MPI.COMM_SELF).history
     gap = np.linspace(0.4 * r0, 12.0 * r0, 400_001)
     distance = gap + COMPLIANCE * traction(gap)  # between the blocks' far ends, less their height

@@ -15,7 +15,7 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
-from piezomat.meshes.contact.global_search import ONE_TO_ONE, CandidatePairs, Clusters, Rule, overlapping
+from piezomat.meshes.contact.global_search import ONE_TO_ONE, CandidatePairs, Clusters, PairingRule, overlapping
 from piezomat.meshes.contact.local_search import brute_force_facets, closest_facets
 from piezomat.scene.scene import Scene
 from piezomat.simulation import run
@@ -71,14 +71,14 @@ def test_clusters_are_of_one_clump_and_hold_everything_once(rng: np.random.Gener
 
 
 def test_rules_say_who_may_meet() -> None:
-    rule = Rule(parts=3)
+    rule = PairingRule(parts=3)
     clumps = rule.clump(np.array([0, 0, 1, 2]), np.array([0, 1, 1, 2]))
     allowed = rule.allows(clumps[:, None], clumps)
     # The body itself is out, and so is a body that shares a connected part.
     assert allowed.astype(int).tolist() == [[0, 0, 1, 1], [0, 0, 0, 1], [1, 0, 0, 1], [1, 1, 1, 0]]
-    ordered = Rule(parts=3, ordered=True).allows(clumps[:, None], clumps)
+    ordered = PairingRule(parts=3, ordered=True).allows(clumps[:, None], clumps)
     assert (ordered == np.triu(allowed)).all()
-    itself = Rule(parts=3, ordered=True, itself=True).allows(clumps[:, None], clumps)
+    itself = PairingRule(parts=3, ordered=True, self_contact=True).allows(clumps[:, None], clumps)
     assert (itself == np.triu(np.ones((4, 4)))).all()
     assert ONE_TO_ONE.allows(np.array([0]), np.array([3])).all()
 
@@ -116,7 +116,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
         nearer = (gap < least[rows]) & (p.slave.kind.overshoot(seen.xi) < 0.2)
         least[rows[nearer]], partner[rows[nearer]] = gap[nearer], p.slave.key[found[nearer]]
     # A point further off than it can act need not know its partner.
-    near = chosen[(least[chosen] < p.law.reach) & (partner[chosen] >= 0)]
+    near = chosen[(least[chosen] < p.law.interaction_range) & (partner[chosen] >= 0)]
     assert len(near) > 50
     np.testing.assert_array_equal(met[near], partner[near])
 
@@ -150,9 +150,9 @@ def test_what_comes_near_is_found_without_a_search_of_all(
             gap[p.rows[p.met]] = p.projection.gap
             found.append(gap)
         assert not contact.outgrown
-        acts = found[1] < p.law.reach
+        acts = found[1] < p.law.interaction_range
         # At the edge of an end a partner is kept that a point paired anew would not take any more: it is deeper in.
-        assert (found[0][acts] < p.law.reach + 0.01).all()
+        assert (found[0][acts] < p.law.interaction_range + 0.01).all()
         same = np.isclose(found[0][acts], found[1][acts], atol=1e-3)
         # A rank may have none of them: which cells are whose depends on the machine.
         agree, all_of_them = comm.allreduce(same.sum()), comm.allreduce(len(same))

@@ -18,9 +18,9 @@ from piezomat.forms.contact.facets import FacetKind, facet_kind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.global_search import (
-    CLUSTER,
     MASTER,
     ONE_TO_ONE,
+    SEARCH_CLUSTER,
     SLAVE,
     Clusters,
     GhostFacets,
@@ -250,7 +250,7 @@ def test_no_points_and_no_facets() -> None:
         assert boxes(none).shape == (0, 2, d)
 
 
-def boxes(facets: Array, size: int = CLUSTER) -> Array:
+def boxes(facets: Array, size: int = SEARCH_CLUSTER) -> Array:
     """Boxes (b, 2, d) around clusters of facets of one body."""
     return Clusters.of(facets.min(axis=1), facets.max(axis=1), np.zeros(len(facets), np.int64), size).boxes
 
@@ -287,7 +287,7 @@ def test_boxes_hold_all_facets(name: str, rng: np.random.Generator) -> None:
         (fiber.facets[:, None] >= found[:, 0, None]) & (fiber.facets[:, None] <= found[:, 1, None]), axis=(2, 3)
     )
     assert held.any(axis=1).all()
-    assert len(found) >= len(fiber.facets) / CLUSTER
+    assert len(found) >= len(fiber.facets) / SEARCH_CLUSTER
     assert len(boxes(fiber.facets, len(fiber.facets))) == 1
     assert len(boxes(fiber.facets, 1)) == len(fiber.facets)
 

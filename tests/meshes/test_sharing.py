@@ -10,7 +10,7 @@ from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact import load_balance as sharing
-from piezomat.meshes.contact.load_balance import halved
+from piezomat.meshes.contact.load_balance import bisected
 from piezomat.simulation import run
 from tests.scenes import pressed
 from tests.verification.test_ranks import a_body_a_rank
@@ -21,7 +21,7 @@ from tests.verification.test_ranks import a_body_a_rank
 def test_halves_have_equal_work_and_boxes_that_do_not_overlap(count: int, dimension: int) -> None:
     rng = np.random.default_rng(count)
     places, work = rng.random((2000, dimension)), rng.choice([0.01, 1.0], 2000)
-    group = halved(places, work, count)
+    group = bisected(places, work, count)
     assert np.abs(np.bincount(group, work, count) - work.sum() / count).max() <= count
     assert len(np.unique(group)) == count
     for first in range(count):
@@ -32,8 +32,8 @@ def test_halves_have_equal_work_and_boxes_that_do_not_overlap(count: int, dimens
 
 
 def test_fewer_places_than_groups_and_none_at_all() -> None:
-    assert len(np.unique(halved(np.array([[0.0, 0.0], [1.0, 0.0]]), np.ones(2), 4))) == 2
-    assert len(halved(np.zeros((0, 3)), np.zeros(0), 3)) == 0
+    assert len(np.unique(bisected(np.array([[0.0, 0.0], [1.0, 0.0]]), np.ones(2), 4))) == 2
+    assert len(bisected(np.zeros((0, 3)), np.zeros(0), 3)) == 0
 
 
 def paired(pairs: object, comm: MPI.Comm) -> tuple[Contact, Model]:

@@ -16,11 +16,13 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.lennard_jones import LennardJones
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that it has a slope
-RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
+ELECTRIC_RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
 # In voltage sqrt(permittivity/stiffness), which is the gap over which that voltage pulls with half the stiffness.
 # Measured on half discs of PZT-5H under a traction, facets of 0.005 to 0.02 um: 2 fails at 50 V, 4 does no better.
-PULL_IN = 3.0
-SAME = 1e-10  # of the final opening: a point this near to its largest opening unloads, whatever the round-off says
+PULL_IN_FACTOR = 3.0
+LOADING_TOLERANCE = (
+    1e-10  # of the final opening: a point this near to its largest opening unloads, whatever the round-off says
+)
 
 
 @dataclass
@@ -62,7 +64,7 @@ class Adhesion:
     final: Array
     always: bool
 
-    rest = 0.0  # gap at which surfaces rest without a force, um
+    equilibrium_gap = 0.0  # gap at which surfaces rest without a force, um
 
     @classmethod
     def bilinear(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> Adhesion:
@@ -74,10 +76,10 @@ class Adhesion:
     def cutoff(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> Adhesion:
         """Constant strength up to a cut-off, with the given energy. ValueError if the penalty is too soft."""
         elastic = _elastic_opening(strength, energy, penalty)
-        return cls.until(strength, energy / strength + 0.5 * elastic, penalty, always)
+        return cls.cutoff_at(strength, energy / strength + 0.5 * elastic, penalty, always)
 
     @classmethod
-    def until(cls, strength: float, cut: Array | float, penalty: Array, always: bool = False) -> Adhesion:
+    def cutoff_at(cls, strength: float, cut: Array | float, penalty: Array, always: bool = False) -> Adhesion:
         """Constant strength up to the opening `cut` (um), which must exceed the elastic opening."""
         elastic = strength / penalty
         half_drop = 0.5 * CUTOFF_DROP * (cut - elastic)
@@ -104,33 +106,33 @@ class Adhesion:
         """Points that touch at this gap: closed or, where it always attracts, within the elastic opening."""
         return gap <= (self.elastic if self.always else 0.0)
 
-    def torn(self, history: History) -> History:
+    def on_loss_of_contact(self, history: History) -> History:
         """History of points that no longer meet the other surface: what was bonded is torn."""
         torn = np.maximum(history.opening, 2.0 * self.final)
         return History(history.touched, np.where(history.touched, torn, history.opening))
 
-    def held(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
+    def electric_share(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
         """Share of the electric contact that bonds keep, with its slope and curvature."""
         # A function of the gap alone as long as the bond holds: its slope pulls, so it must not jump on a return.
         # What always attracts is bonded within its range from the start: touching must not switch anything on.
-        bonded, width = self.bonded(history) | (self.always & ~history.touched), (1.0 - RELEASE) * self.final
-        b, b1, b2 = (np.where(bonded, value, 0.0) for value in _fade((gap - RELEASE * self.final) / width))
+        bonded, width = self.bonded(history) | (self.always & ~history.touched), (1.0 - ELECTRIC_RELEASE) * self.final
+        b, b1, b2 = (np.where(bonded, value, 0.0) for value in _fade((gap - ELECTRIC_RELEASE * self.final) / width))
         return b, b1 / width, b2 / width**2
 
-    def answer(self, gap: Array, history: History, response: Response) -> None:
+    def contribute(self, gap: Array, history: History, response: Response) -> None:
         """Add the law's slope, curvature and energies to those of the penalty."""
-        loading = (gap > history.opening + SAME * self.final) | (self.always & ~history.touched)
+        loading = (gap > history.opening + LOADING_TOLERANCE * self.final) | (self.always & ~history.touched)
         furthest = np.where(loading, np.maximum(gap, 0.0), history.opening)
         traction, tangent, work = self.envelope(furthest)
         secant = np.where(furthest > self.elastic, traction / np.maximum(furthest, self.elastic), self.penalty)
-        live = history.touched | self.always
-        pulled = (gap > 0.0) & live
+        active = history.touched | self.always
+        pulled = (gap > 0.0) & active
         response.slope = response.slope + np.where(pulled, np.where(loading, traction, secant * gap), 0.0)
         response.curvature = response.curvature + np.where(pulled, np.where(loading, tangent, secant), 0.0)
         stored = np.where(history.touched, 0.5 * secant * np.maximum(gap, 0.0) ** 2, work)
         damaged = np.where(history.touched, work - 0.5 * secant * furthest**2, 0.0)
-        response.adhesion = np.where(live, stored, 0.0) - (self.energy if self.always else 0.0)
-        response.dissipated = np.where(live, damaged, 0.0)
+        response.adhesion = np.where(active, stored, 0.0) - (self.energy if self.always else 0.0)
+        response.dissipated = np.where(active, damaged, 0.0)
 
     def envelope(self, opening: Array) -> tuple[Array, Array, Array]:
         """Traction, slope and work up to an opening that has never been exceeded."""
@@ -210,7 +212,7 @@ class Response:
     electric: Array
     dissipated: Array
 
-    def after(self, change: Array) -> tuple[Array, Array]:
+    def linearized(self, change: Array) -> tuple[Array, Array]:
         """Slope and charge after changes (2, m) of gap and jump, were they linear in both."""
         gap, jump = change
         slope = self.slope + self.curvature * gap + self.mixed * jump
@@ -235,15 +237,15 @@ class InterfaceLaw:
         )
 
     @property
-    def reach(self) -> float:
+    def interaction_range(self) -> float:
         """Largest gap at which a point can still answer, um."""
-        reach = 0.0 if self.fade is None else self.rest + float(self.fade.max(initial=0.0))
-        return max(reach, float(self.adhesion.final.max(initial=0.0)) if self.adhesion else 0.0)
+        fading = 0.0 if self.fade is None else self.equilibrium_gap + float(self.fade.max(initial=0.0))
+        return max(fading, float(self.adhesion.final.max(initial=0.0)) if self.adhesion else 0.0)
 
     @property
-    def rest(self) -> float:
+    def equilibrium_gap(self) -> float:
         """Gap at and below which surfaces are in contact, um: that at which they rest without a force."""
-        return 0.0 if self.adhesion is None else self.adhesion.rest
+        return 0.0 if self.adhesion is None else self.adhesion.equilibrium_gap
 
     def bonded(self, history: History) -> NDArray[np.bool_]:
         """Points that stick: touched, and never opened as far as the bond's end."""
@@ -253,9 +255,9 @@ class InterfaceLaw:
         """Points that touch at this gap, which the history remembers."""
         return gap <= 0.0 if self.adhesion is None else self.adhesion.touching(gap)
 
-    def lost(self, history: History) -> History:
+    def on_loss_of_contact(self, history: History) -> History:
         """History of points that no longer meet the other surface."""
-        return history if self.adhesion is None else self.adhesion.torn(history)
+        return history if self.adhesion is None else self.adhesion.on_loss_of_contact(history)
 
     def status(self, gap: Array, history: History) -> NDArray[np.int8]:
         """0 apart, 1 touching, 2 bonded in tension, 3 broken."""
@@ -263,15 +265,15 @@ class InterfaceLaw:
         apart = np.where(bonded, 2, 0)
         if self.adhesion is not None:
             apart = np.where(history.touched & ~bonded, 3, apart)
-        return np.where(gap <= self.rest, 1, apart).astype(np.int8)
+        return np.where(gap <= self.equilibrium_gap, 1, apart).astype(np.int8)
 
     def respond(
-        self, gap: Array, jump: Array | None, history: History, *, pulls: bool = True, exact: bool = True
+        self, gap: Array, jump: Array | None, history: History, *, attraction: bool = True, consistent: bool = True
     ) -> Response:
         """Response at gaps (m,) and, with an electric penalty, potential jumps (m,) in V.
 
-        Without `pulls` the electric contact follows the gap and does not pull on the surfaces. Not `exact`, the
-        curvature leaves out where it pulls the harder, the nearer surfaces come.
+        Without `attraction` the electric contact follows the gap and does not pull on the surfaces. A tangent that is
+        not `consistent` leaves out the negative stiffness of the attraction.
         """
         # At gap 0 the curvature is that of pressing: bodies that start in touch are most often pressed together.
         pressed = gap <= 0.0
@@ -281,18 +283,18 @@ class InterfaceLaw:
         zero = np.zeros_like(gap)
         response = Response(slope, curvature, zero, zero, zero, contact, zero, zero, zero)
         if self.adhesion is not None:
-            self.adhesion.answer(gap, history, response)
+            self.adhesion.contribute(gap, history, response)
         if self.electric_penalty is not None and jump is not None:
-            self._electrify(gap, jump, history, response, pulls, exact)
+            self._electrify(gap, jump, history, response, attraction, consistent)
         return response
 
     def _electrify(
-        self, gap: Array, jump: Array, history: History, response: Response, pulls: bool, exact: bool
+        self, gap: Array, jump: Array, history: History, response: Response, attraction: bool, consistent: bool
     ) -> None:
-        s, s1, s2 = _fade((gap - self.rest) / self.fade)
+        s, s1, s2 = _fade((gap - self.equilibrium_gap) / self.fade)
         s1, s2 = s1 / self.fade, s2 / self.fade**2
         if self.adhesion is not None:
-            b, b1, b2 = self.adhesion.held(gap, history)
+            b, b1, b2 = self.adhesion.electric_share(gap, history)
             s2 = (1.0 - b) * s2 - 2.0 * s1 * b1 + (1.0 - s) * b2
             s1 = (1.0 - b) * s1 + (1.0 - s) * b1
             s = 1.0 - (1.0 - s) * (1.0 - b)
@@ -300,19 +302,19 @@ class InterfaceLaw:
         response.charge = -rho * s * jump
         response.electric_curvature = -rho * s
         response.electric = 0.5 * rho * s * jump**2
-        if pulls:
+        if attraction:
             response.mixed = -rho * s1 * jump
             response.slope = response.slope - 0.5 * rho * s1 * jump**2
             stiffness = -0.5 * rho * s2 * jump**2
-            response.curvature = response.curvature + (stiffness if exact else np.maximum(stiffness, 0.0))
+            response.curvature = response.curvature + (stiffness if consistent else np.maximum(stiffness, 0.0))
 
 
-def pull_in_range(voltage: float, permittivity: Array, stiffness: Array) -> Array:
+def stable_electric_range(voltage: float, permittivity: Array, stiffness: Array) -> Array:
     """Gap (m,) um: where contact fades out over less, surfaces so many V apart pull harder than bodies resist.
 
     permittivity (m,) pC/(V um), stiffness (m,) MPa. Facets four times finer asked for no less.
     """
-    return PULL_IN * voltage * np.sqrt(permittivity / stiffness)
+    return PULL_IN_FACTOR * voltage * np.sqrt(permittivity / stiffness)
 
 
 def _fade(x: Array) -> tuple[Array, Array, Array]:
