@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import FADE
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
@@ -15,7 +15,7 @@ from piezomat.solver.linear import direct_limit_3d, is_direct
 AXES = "xyz"
 
 
-def plan_text(model: Model, contact: Contact | None) -> str:
+def plan_text(model: Model, contact: Interfaces | None) -> str:
     """The plan as lines of `what: choice (why)`. Collective; the same text on all ranks."""
     lines = [
         ("scene", model.scene.title),
@@ -88,20 +88,22 @@ def _held(model: Model) -> str:
     return "; ".join(notes) or "every part by its boundaries"
 
 
-def _contact(model: Model, contact: Contact | None) -> str:
+def _contact(model: Model, contact: Interfaces | None) -> str:
     keys = model.scene.contact
     if contact is None:
         return "none, since the scene has no [contact]"
     if keys is None:
         return "with planes alone, since the scene has no [contact]"
-    points = model.comm.allreduce(sum(len(p.points.weight) for p in contact.passes))
+    points = model.comm.allreduce(sum(len(p.points.weight) for p in contact.surface_pairs))
     where = {
         "node": "at the slave nodes",
         "point": "at quadrature points of the slave facets",
         "segment": "on slave facets cut along master edges",
     }[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
-    both = "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.passes) else "gap"
+    both = (
+        "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.surface_pairs) else "gap"
+    )
     listed = list(contact.pairs.listed.values())
     what = f"{len(listed)} pairs ({named(listed)})" if listed else "any two bodies that come near each other"
     curved = ", facets curved with a continuous normal" if keys.smoothing else ""
@@ -110,8 +112,8 @@ def _contact(model: Model, contact: Contact | None) -> str:
     return f"{what}, {where}, {passes}, {points} points, penalties for {both}{curved}"
 
 
-def _electric(model: Model, contact: Contact | None) -> list[tuple[str, str]]:
-    fades = [p.law.fade for p in contact.every if p.law.fade is not None] if contact is not None else []
+def _electric(model: Model, contact: Interfaces | None) -> list[tuple[str, str]]:
+    fades = [p.law.fade for p in contact.point_sets if p.law.fade is not None] if contact is not None else []
     if not model.comm.allreduce(len(fades)):
         return []
     keys, voltage = model.scene.contact, model.largest_voltage()
@@ -149,7 +151,7 @@ def _load(model: Model) -> str:
     return f"{stages}, factors: {', '.join(load.factors) or 'none'}"
 
 
-def _solution(model: Model, contact: Contact | None) -> str:
+def _solution(model: Model, contact: Interfaces | None) -> str:
     reasons = [
         reason
         for reason, holds in (

@@ -199,7 +199,7 @@ class _Session:
         """Keep the state at the end of a step: a later step may fail after some of its parts have converged."""
         self._kept_state = self.problem.state.copy()
         contact = self.problem.contact
-        self._kept_memories = [p.memory() for p in contact.every] if contact is not None else []
+        self._kept_memories = [p.snapshot() for p in contact.point_sets] if contact is not None else []
 
     def _go_back(self) -> None:
         """Return to the end of the last step that converged as a whole, with contact evaluated there."""
@@ -207,8 +207,8 @@ class _Session:
             return
         self._kept_state.copy(self.problem.state)
         if self.problem.contact is not None:
-            for p, memory in zip(self.problem.contact.every, self._kept_memories, strict=True):
-                p.recall(memory)
+            for p, memory in zip(self.problem.contact.point_sets, self._kept_memories, strict=True):
+                p.restore(memory)
             factors = {name: self.history[-1][f"factor:{name}"] for name in self.scene.load.factors}
             self.problem.contact.move_planes(factors)
         self.stepper.revisit()
@@ -242,7 +242,7 @@ class _Session:
 
     def _write_pairs(self) -> None:
         contact = self.problem.contact
-        if contact is not None and contact.passes:
+        if contact is not None and contact.surface_pairs:
             rows = [(contact.pairs.name(number), values) for number, values in pair_table(contact).items()]
             self.results.pairs(self.last_step, pair_columns(self.model.dim, self.model.electric), rows)
 

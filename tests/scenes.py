@@ -51,11 +51,11 @@ class Points:
 
     def __init__(self, finished: Run) -> None:
         pressure, weight, place = [], [], []
-        for p in finished.problem.contact.passes:
+        for p in finished.problem.contact.surface_pairs:
             shape = p.slave.kind.shape(p.projection.xi)
             place.append(np.einsum("mk,mkd->md", shape, p.projection.nodes))
             pressure.append(np.maximum(-p.response.slope, 0.0))
-            weight.append(p.share * p.points.weight[p.rows[p.met]])
+            weight.append(p.share * p.points.weight[p.projected_points])
         self.pressure, self.weight = np.concatenate(pressure), np.concatenate(weight)
         self.place = np.concatenate(place)
 

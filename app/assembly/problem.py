@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.tangent_matrix import TangentMatrix
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
@@ -42,7 +42,7 @@ class Problem:
     the parts that nothing but contact holds, and x_n is the last converged state.
     """
 
-    def __init__(self, model: Model, contact: Contact | None, timer: Timer) -> None:
+    def __init__(self, model: Model, contact: Interfaces | None, timer: Timer) -> None:
         self.model = model
         self.contact = contact
         self.timer = timer
@@ -70,7 +70,7 @@ class Problem:
         self.snap_through_work: Array | None = None  # of the last part of a step, if it snapped
         self.is_linear = contact is None and not self.has_finite_kinematics
         length = float(model.part_size.max())
-        stiffest = contact.stiffest if contact is not None else 0.0
+        stiffest = contact.largest_penalty if contact is not None else 0.0
         # Forces of a strain of one, and of a penetration as large as the coordinates that the gaps are made from.
         self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
 
@@ -124,19 +124,19 @@ class Problem:
         if self.contact is None:
             return
         with self.timer("contact"):
-            self.contact.pair(self.state, margin)
+            self.contact.detect(self.state, margin)
         if self._matrix is not None:
             self._matrix.forget_pattern()
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec, *, search: bool = True) -> None:
-        """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there. search: see `Contact`."""
+        """R(x) with zeros at the fixed unknowns; `full` keeps it with the reactions there. search: see `Interfaces`."""
         with self.timer("assembly"):
             self._bulk_residual(x)
         if self.contact is not None:
             with self.timer("contact"):
                 terms = self.contact.evaluate(x, tangent=False, search=search)
                 self.contact.add_residual(terms, self.residual_with_reactions)
-                if self.contact.broken:
+                if self.contact.evaluation_failed:
                     self.residual_with_reactions.set(np.nan)
         self.residual_with_reactions.copy(result)
         result.array[self.model.fixed] = 0.0
@@ -151,7 +151,7 @@ class Problem:
     def tangent(self) -> tuple[PETSc.Mat, bool]:
         """The tangent as a matrix, the fixed unknowns eliminated, and whether its pattern differs from the last."""
         nodes, matrices = self.contact_terms()
-        reserve = self.contact.reserve() if self.contact is not None else nodes
+        reserve = self.contact.candidate_nodes() if self.contact is not None else nodes
         with self.timer("assembly"):
             if self._matrix is None:
                 self._matrix = TangentMatrix(self.comm, self._bulk, self.model.block, self.model.fixed_global)

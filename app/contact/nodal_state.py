@@ -18,7 +18,7 @@ class NodalState:
 
     position: Array
     potentials: Array | None
-    components: int
+    block_size: int
     scale: float | None
-    pulls: bool
-    exact: bool
+    attraction: bool
+    consistent_tangent: bool

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.contact.active_set import answer, linearized_response
+from piezomat.contact.active_set import linearized_response, response
 from piezomat.contact.nodal_state import NodalState
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.augmentation import Shift
+from piezomat.forms.contact.augmentation import Multipliers
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.integrals import SlavePoints
-from piezomat.forms.contact.laws.interface import Drag, History, InterfaceLaw, Response
+from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response, ViscousBonds
 from piezomat.forms.contact.smoothing import rounded, spread, to_corners
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.meshes.contact.local_search import FACING
@@ -53,15 +53,15 @@ class RigidPlane:
     slave: SlaveFacets
     points: SlavePoints
     law: InterfaceLaw
-    size: Array
+    facet_size: Array
     share: float = 1.0
     offset: Array = field(init=False)
     potential: float | None = field(init=False)
     history: History = field(init=False)
-    shift: Shift = field(init=False)
-    drag: Drag = field(init=False)
-    rows: NDArray[np.int64] = field(init=False)
-    met: NDArray[np.int64] = field(init=False)
+    multipliers: Multipliers = field(init=False)
+    viscous_bonds: ViscousBonds = field(init=False)
+    near_points: NDArray[np.int64] = field(init=False)
+    projected: NDArray[np.int64] = field(init=False)
     slave_nodes: NDArray[np.int64] = field(init=False)
     position: Array = field(init=False)
     projection: PlaneProjection | None = field(init=False, default=None)
@@ -69,16 +69,16 @@ class RigidPlane:
     response: Response | None = field(init=False, default=None)
     jump: Array | None = field(init=False, default=None)
     surface_potential: Array | None = field(init=False, default=None)
-    foreseen: Array | None = field(init=False, default=None)
+    predicted: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
     last_offset: Array = field(init=False)
     charge: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         self.history = History.virgin(len(self.points.weight))
-        self.shift = Shift.none(self.slave.kind, len(self.slave))
-        self.drag = Drag.none(len(self.points.weight))
-        self.remember()
+        self.multipliers = Multipliers.none(self.slave.kind, len(self.slave))
+        self.viscous_bonds = ViscousBonds.none(len(self.points.weight))
+        self.mark_converged()
         self.move({})
         self.last_offset = self.offset
         self.force = np.zeros(len(self.normal))
@@ -97,21 +97,26 @@ class RigidPlane:
         if plane.potential is not None and plane.potential_follows is not None:
             self.potential *= factors.get(plane.potential_follows, 0.0)
 
-    def remember(self) -> None:
+    @property
+    def projected_points(self) -> NDArray[np.int64]:
+        """Numbers of the projected points among all points, (projected,)."""
+        return self.near_points[self.projected]
+
+    def mark_converged(self) -> None:
         """Take history and multipliers for those of the last converged step."""
-        self._converged = self.memory()
+        self._converged = self.snapshot()
 
-    def memory(self) -> tuple[History, Shift]:
+    def snapshot(self) -> tuple[History, Multipliers]:
         """What is remembered of a converged step: history and multipliers of the points."""
-        return self.history.copy(), self.shift.copy()
+        return self.history.copy(), self.multipliers.copy()
 
-    def recall(self, memory: tuple[History, Shift]) -> None:
+    def restore(self, memory: tuple[History, Multipliers]) -> None:
         """Go back to what was remembered."""
-        self.history, self.shift, self._converged = memory[0].copy(), memory[1].copy(), memory
+        self.history, self.multipliers, self._converged = memory[0].copy(), memory[1].copy(), memory
 
-    def give_up(self) -> None:
+    def restore_multipliers(self) -> None:
         """Go back to the multipliers of the last converged step."""
-        self.shift = self._converged[1].copy()
+        self.multipliers = self._converged[1].copy()
 
     def keys(self) -> NDArray[np.int64]:
         """(m, 4) numbers of the points that do not depend on the partition: pair, pass, facet, place."""
@@ -119,13 +124,13 @@ class RigidPlane:
 
     def corner_keys(self) -> NDArray[np.int64]:
         """(facets * corners, 4) numbers of the corners of the facets."""
-        return self._keys(*(index.ravel() for index in np.indices(self.shift.gap.shape)))
+        return self._keys(*(index.ravel() for index in np.indices(self.multipliers.gap.shape)))
 
     def _keys(self, facet: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
         same = np.ones(len(facet), np.int64)
         return np.stack([self.pair * same, 2 * same, self.slave.key[facet], place], axis=1)
 
-    def look(self, position: Array, margin: float) -> None:
+    def detect(self, position: Array, margin: float) -> None:
         """Find the points within `margin` (um) of the plane whose surface faces it, nodes being at `position`."""
         nodes = rounded(self.slave.kind, position[self.slave_nodes], self.slave.rounding)
         facet = self.points.facet
@@ -133,8 +138,8 @@ class RigidPlane:
         near = np.flatnonzero(self._gap(points) <= margin)
         facet = facet[near]
         outward = point_normals(self.slave.kind, self.points.xi[near], nodes[facet], self.slave.orientation[facet])
-        self.rows = near[outward @ self.normal < FACING]
-        self.met = np.arange(len(self.rows))
+        self.near_points = near[outward @ self.normal < FACING]
+        self.projected = np.arange(len(self.near_points))
 
     def evaluate(
         self, at: NodalState, *, tangent: bool
@@ -143,7 +148,7 @@ class RigidPlane:
 
         Of facets curved by `rounding` the nodes are the corners.
         """
-        rows, d = self.rows, len(self.normal)
+        rows, d = self.near_points, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
         nodes = self.slave_nodes[facet]
         kind, offsets = self.slave.kind, self.slave.rounding[facet]
@@ -157,9 +162,9 @@ class RigidPlane:
             )
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
-        shift = self.shift.at(kind, facet, self.points.xi[rows])
+        shift = self.multipliers.at(kind, facet, self.points.xi[rows])
         self.gap = gap + shift[0]
-        r = self.response = answer(self, at, shift)
+        r = self.response = response(self, at, shift)
         weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)
@@ -167,7 +172,7 @@ class RigidPlane:
         active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
         shape, nodes, weight = shape[active], nodes[active], weight[active]
         m, n = shape.shape
-        first = np.zeros((m, 2, n, at.components))  # variations of gap and jump
+        first = np.zeros((m, 2, n, at.block_size))  # variations of gap and jump
         first[:, 0, :, :d] = shape[:, :, None] * self.normal
         if self.jump is not None:
             first[:, 1, :, d] = at.scale * shape
@@ -177,16 +182,16 @@ class RigidPlane:
         if not tangent:
             return facet[active], nodes, vectors, None
         second = np.stack([r.curvature, r.mixed, r.mixed, r.electric_curvature], axis=1)[active].reshape(m, 2, 2)
-        flat = first.reshape(m, 2, nodes.shape[1] * at.components)
+        flat = first.reshape(m, 2, nodes.shape[1] * at.block_size)
         matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
         return facet[active], nodes, vectors, matrices
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """Changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
-        facet, kind, d = self.points.facet[self.rows], self.slave.kind, len(self.normal)
-        shape, nodes, offsets = self.points.shape[self.rows], self.slave_nodes[facet], self.slave.rounding[facet]
+        facet, kind, d = self.points.facet[self.near_points], self.slave.kind, len(self.normal)
+        shape, nodes, offsets = self.points.shape[self.near_points], self.slave_nodes[facet], self.slave.rounding[facet]
         before, after = (rounded(kind, x[nodes], offsets) for x in (at.position, at.position + change[:, :d]))
-        changes = np.zeros((2, len(self.rows)))
+        changes = np.zeros((2, len(self.near_points)))
         changes[0] = np.einsum("mk,mkd,d->m", shape, after - before, self.normal)
         if self.jump is not None:
             changes[1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))

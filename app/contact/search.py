@@ -44,51 +44,57 @@ def update_projections(p: SurfacePair, position: Array, search: Search) -> None:
     `projection`.
     """
     kind = p.slave.kind
-    points = np.einsum("mk,mkd->md", p.points.shape[p.rows], p.slave_at(position, p.points.facet[p.rows]))
-    near = np.full(len(p.rows), search.reach)  # what comes nearer than this is to be seen
-    have = np.flatnonzero(p.facet >= 0)
+    points = np.einsum("mk,mkd->md", p.points.shape[p.near_points], p.slave_at(position, p.points.facet[p.near_points]))
+    near = np.full(len(p.near_points), search.reach)  # what comes nearer than this is to be seen
+    have = np.flatnonzero(p.master_facet >= 0)
     left = np.zeros(0, np.int64)
     if len(have):
-        facet = p.facet[have]
+        facet = p.master_facet[have]
         nodes = p.master_at(position, facet)
-        projection = project(kind, points[have], nodes, p.visible.orientation[facet], p.xi[have])
-        p.xi[have] = projection.xi
+        projection = project(kind, points[have], nodes, p.ghost_facets.orientation[facet], p.master_xi[have])
+        p.master_xi[have] = projection.xi
         # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
-        keep = np.maximum(search.keep, np.minimum(p.found_beyond[have] + KEEP[0][1], KEPT))
+        keep = np.maximum(search.keep, np.minimum(p.initial_overshoot[have] + KEEP[0][1], KEPT))
         left = have[kind.overshoot(projection.xi) > keep]
         # Something else may have come nearer than a partner that does not touch.
         near[have] = np.where(projection.gap > search.touch, np.minimum(projection.gap, search.reach), -np.inf)
-    lost = ~(p.clear > p.approach + near) & search.everywhere  # numbers or not
+    lost = ~(p.distance_bound > p.motion_since_search + near) & search.everywhere  # numbers or not
     lost[left] = True
     if lost.any():
         _look_for(p, points, position, lost, search)
-    p.met = np.flatnonzero(p.facet >= 0)
-    p.position, facet = points[p.met], p.facet[p.met]
+    p.projected = np.flatnonzero(p.master_facet >= 0)
+    p.position, facet = points[p.projected], p.partner
     masters = p.master_at(position, facet)
-    p.projection = project(kind, p.position, masters, p.visible.orientation[facet], p.xi[p.met])
-    p.xi[p.met] = p.projection.xi
+    p.projection = project(kind, p.position, masters, p.ghost_facets.orientation[facet], p.master_xi[p.projected])
+    p.master_xi[p.projected] = p.projection.xi
 
 
 def _look_for(p: SurfacePair, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:
     kind = p.slave.kind
-    own = p.points.facet[p.rows[lost]]
+    own = p.points.facet[p.near_points[lost]]
     normals = np.zeros_like(points)
-    normals[lost] = point_normals(kind, p.points.xi[p.rows[lost]], p.slave_at(position, own), p.slave.orientation[own])
-    p.facet[lost], p.clear[lost] = -1, -np.inf
-    least = np.full(len(p.rows), np.inf)  # gap of the partner
-    away = np.full(len(p.rows), np.inf)  # least distance of the partner's clump, plus approach
-    clear = np.full(len(p.rows), np.inf)  # and of all others
-    for near, facets, own in zip(p.meetings.points, p.meetings.facets, p.candidates, strict=True):
+    normals[lost] = point_normals(
+        kind, p.points.xi[p.near_points[lost]], p.slave_at(position, own), p.slave.orientation[own]
+    )
+    p.master_facet[lost], p.distance_bound[lost] = -1, -np.inf
+    least = np.full(len(p.near_points), np.inf)  # gap of the partner
+    away = np.full(len(p.near_points), np.inf)  # least distance of the partner's clump, plus approach
+    clear = np.full(len(p.near_points), np.inf)  # and of all others
+    for near, facets, own in zip(p.candidate_pairs.points, p.candidate_pairs.facets, p.self_candidates, strict=True):
         tried = near[lost[near]]
         if not len(tried):
             continue
-        nodes, orientation, key = p.master_at(position, facets), p.visible.orientation[facets], p.visible.key[facets]
+        nodes, orientation, key = (
+            p.master_at(position, facets),
+            p.ghost_facets.orientation[facets],
+            p.ghost_facets.key[facets],
+        )
         pairs, depth = None, max(p.depth, search.depth)
         if own is not None:
-            pairs, depth = own.of_points(p.points.facet[p.rows[tried]]), max(p.own_depth, search.depth)
+            pairs, depth = own.of_points(p.points.facet[p.near_points[tried]]), max(p.self_depth, search.depth)
         given = points[tried], normals[tried], nodes, orientation, key, max(search.far, depth), depth, pairs
         found, xi, off = closest_facets(kind, *given)
-        off += p.approach[tried] - search.drift
+        off += p.motion_since_search[tried] - search.drift
         met = np.flatnonzero(found >= 0)
         gap = np.full(len(tried), np.inf)
         gap[met] = project(kind, points[tried[met]], nodes[found[met]], orientation[found[met]], xi[met]).gap
@@ -96,6 +102,6 @@ def _look_for(p: SurfacePair, points: Array, position: Array, lost: NDArray[np.b
         nearer = (gap < least[tried]) & (gap <= search.far)
         clear[tried] = np.minimum(clear[tried], np.where(nearer, away[tried], off))
         tried, found, xi, gap = tried[nearer], found[nearer], xi[nearer], gap[nearer]
-        least[tried], away[tried], p.facet[tried], p.xi[tried] = gap, off[nearer], facets[found], xi
-        p.found_beyond[tried] = np.where(gap > search.touch, kind.overshoot(xi), 0.0)
-    p.clear[lost] = clear[lost]
+        least[tried], away[tried], p.master_facet[tried], p.master_xi[tried] = gap, off[nearer], facets[found], xi
+        p.initial_overshoot[tried] = np.where(gap > search.touch, kind.overshoot(xi), 0.0)
+    p.distance_bound[lost] = clear[lost]

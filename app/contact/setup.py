@@ -10,7 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import Pairs, SurfacePair
 from piezomat.discretization.model import Model
@@ -41,7 +41,7 @@ FADE = 0.1
 NEAR = 0.1
 
 
-def interfaces_of(model: Model) -> Contact | None:
+def interfaces_of(model: Model) -> Interfaces | None:
     """The contact of a model; None without [contact] and [[planes]]. Collective. Raises SceneError on all ranks."""
     keys = model.scene.contact
     if keys is None and not model.scene.planes:
@@ -56,7 +56,7 @@ def interfaces_of(model: Model) -> Contact | None:
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
     geodesic = _geodesic(model, thickness) if thickness is not None else None
-    return Contact(model.comm, model.space, x, passes, planes, pairs, scale, geodesic)
+    return Interfaces(model.comm, model.space, x, passes, planes, pairs, scale, geodesic)
 
 
 def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from piezomat.contact.nodal_state import NodalState
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.augmentation import Shift
+from piezomat.forms.contact.augmentation import Multipliers
 from piezomat.forms.contact.gap import Projection, project
 from piezomat.forms.contact.integrals import SlavePoints, first_changes
-from piezomat.forms.contact.laws.interface import Drag, History, InterfaceLaw, Response
+from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response, ViscousBonds
 from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
 from piezomat.forms.contact.smoothing import rounded, spread
 from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule
@@ -82,74 +82,84 @@ class SurfacePair:
     law: InterfaceLaw
     share: float
     first: bool
-    size: Array
+    facet_size: Array
     depth: float
-    own_depth: float
+    self_depth: float
     segments: bool = False
-    meets: NDArray[np.bool_] = field(init=False)
+    covered: NDArray[np.bool_] = field(init=False)
     history: History = field(init=False)
-    shift: Shift = field(init=False)
-    drag: Drag = field(init=False)
-    meetings: CandidatePairs = field(init=False)
-    candidates: list[Candidates | None] = field(init=False)
-    visible: GhostFacets = field(init=False)
+    multipliers: Multipliers = field(init=False)
+    viscous_bonds: ViscousBonds = field(init=False)
+    candidate_pairs: CandidatePairs = field(init=False)
+    self_candidates: list[Candidates | None] = field(init=False)
+    ghost_facets: GhostFacets = field(init=False)
     self_contact: SelfContact | None = field(init=False, default=None)
-    rows: NDArray[np.int64] = field(init=False)
-    facet: NDArray[np.int64] = field(init=False)
-    xi: Array = field(init=False)
-    found_beyond: Array = field(init=False)
-    clear: Array = field(init=False)
-    approach: Array = field(init=False)
+    near_points: NDArray[np.int64] = field(init=False)
+    master_facet: NDArray[np.int64] = field(init=False)
+    master_xi: Array = field(init=False)
+    initial_overshoot: Array = field(init=False)
+    distance_bound: Array = field(init=False)
+    motion_since_search: Array = field(init=False)
     slave_nodes: NDArray[np.int64] = field(init=False)
     master_nodes: NDArray[np.int64] = field(init=False)
-    met: NDArray[np.int64] = field(init=False)
+    projected: NDArray[np.int64] = field(init=False)
     projection: Projection | None = field(init=False, default=None)
     gap: Array = field(init=False)
     response: Response | None = field(init=False, default=None)
     jump: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
     position: Array = field(init=False)
-    foreseen: Array | None = field(init=False, default=None)
+    predicted: Array | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         first = np.searchsorted(self.points.facet, np.arange(len(self.slave)))
-        self._of_facets = (self.law[first], self.size[first]) if self.segments else None
-        self.meets = np.ones(len(self.points.weight), bool)
+        self._of_facets = (self.law[first], self.facet_size[first]) if self.segments else None
+        self.covered = np.ones(len(self.points.weight), bool)
         self.history = History.virgin(len(self.points.weight))
-        self.shift = Shift.none(self.slave.kind, len(self.slave))
-        self.drag = Drag.none(len(self.points.weight))
-        self.remember()
+        self.multipliers = Multipliers.none(self.slave.kind, len(self.slave))
+        self.viscous_bonds = ViscousBonds.none(len(self.points.weight))
+        self.mark_converged()
 
-    def remember(self) -> None:
+    @property
+    def projected_points(self) -> NDArray[np.int64]:
+        """Numbers of the projected points among all points, (projected,)."""
+        return self.near_points[self.projected]
+
+    @property
+    def partner(self) -> NDArray[np.int64]:
+        """The master facet of each projected point, (projected,)."""
+        return self.master_facet[self.projected]
+
+    def mark_converged(self) -> None:
         """Take points and history for those of the last converged step."""
-        self._converged = self.memory()
+        self._converged = self.snapshot()
 
-    def memory(self) -> tuple[SlavePoints, History, Shift]:
+    def snapshot(self) -> tuple[SlavePoints, History, Multipliers]:
         """What is remembered of a converged step: points, their history, their multipliers."""
-        return self.points, self.history.copy(), self.shift.copy()
+        return self.points, self.history.copy(), self.multipliers.copy()
 
-    def recall(self, memory: tuple[SlavePoints, History, Shift]) -> None:
+    def restore(self, memory: tuple[SlavePoints, History, Multipliers]) -> None:
         """Go back to what was remembered."""
         self._take(memory[0])
-        self.history, self.shift, self._converged = memory[1].copy(), memory[2].copy(), memory
+        self.history, self.multipliers, self._converged = memory[1].copy(), memory[2].copy(), memory
 
-    def give_up(self) -> None:
+    def restore_multipliers(self) -> None:
         """Go back to the multipliers of the last converged step: those of a solve that failed are worth nothing."""
-        self.shift = self._converged[2].copy()
+        self.multipliers = self._converged[2].copy()
 
-    def cut(self, position: Array, reach: float) -> None:
+    def cut_segments(self, position: Array, reach: float) -> None:
         """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
         slave = Facets(self.slave_at(position), self.slave.orientation, self.slave.key)
-        master = Facets(self.master_at(position), self.visible.orientation, self.visible.key)
+        master = Facets(self.master_at(position), self.ghost_facets.orientation, self.ghost_facets.key)
         kind = self.slave.kind
         pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
         allowed = self.may_meet(*pairs)
         pairs = pairs[0][allowed], pairs[1][allowed]
         before, (converged, history, _) = self.points, self._converged
         points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
-        drag = self.drag[nearest_points(points.facet, points.xi, before)]
+        drag = self.viscous_bonds[nearest_points(points.facet, points.xi, before)]
         self._take(points)
-        self.meets, self.drag = meets, drag
+        self.covered, self.viscous_bonds = meets, drag
         self._whole = ~np.isin(points.facet, pairs[0])
         self.history = history[nearest_points(points.facet, points.xi, converged)]
 
@@ -159,12 +169,14 @@ class SurfacePair:
         ours, theirs = geodesic[self.slave_nodes], geodesic[self.master_nodes]
         return SelfContact(
             ReferenceFacets.of(kind, slave, self.slave.orientation, ours, self.slave_nodes, self.slave.key),
-            ReferenceFacets.of(kind, visible, self.visible.orientation, theirs, self.master_nodes, self.visible.key),
+            ReferenceFacets.of(
+                kind, visible, self.ghost_facets.orientation, theirs, self.master_nodes, self.ghost_facets.key
+            ),
         )
 
     def may_meet(self, slave: NDArray[np.int64], master: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether points of slave facets may meet visible master facets, (k,) each."""
-        ours, theirs = self.slave.clump[slave], self.visible.clump[master]
+        ours, theirs = self.slave.clump[slave], self.ghost_facets.clump[master]
         may = self.rule.allows(ours, theirs)
         if self.self_contact is not None:
             joined = np.flatnonzero(may & self.rule.same_part(ours, theirs))
@@ -174,7 +186,7 @@ class SurfacePair:
                 may[joined] &= (ours != theirs)[joined] | self.self_contact.precedes(*pairs)
         return may
 
-    def near_own(
+    def near_self_candidates(
         self, position: Array, slaves: NDArray[np.int64], facets: NDArray[np.int64], margin: float
     ) -> Candidates:
         """Those `facets` of their own part that points of slave facets may meet and that come within `margin`."""
@@ -188,39 +200,41 @@ class SurfacePair:
 
     def master_at(self, position: Array, facet: NDArray | slice = EVERY) -> Array:
         """The same of the visible master facets."""
-        return rounded(self.slave.kind, position[self.master_nodes[facet]], self.visible.rounding[facet])
+        return rounded(self.slave.kind, position[self.master_nodes[facet]], self.ghost_facets.rounding[facet])
 
-    def motions(self, change: Array, bodies: int) -> Array:
+    def largest_motions(self, change: Array, bodies: int) -> Array:
         """How far (bodies,) the facets of each body that are seen here have moved at most, nodes by `change` (n, d)."""
         length = LARGEST_SHAPE[self.slave.kind.order] * np.linalg.norm(change, axis=1)
         found = np.zeros(bodies)
-        for clump, nodes in ((self.slave.clump, self.slave_nodes), (self.visible.clump, self.master_nodes)):
+        for clump, nodes in ((self.slave.clump, self.slave_nodes), (self.ghost_facets.clump, self.master_nodes)):
             np.maximum.at(found, self.rule.body(clump), length[nodes].max(axis=1, initial=0.0))
         return found
 
-    def come_nearer(self, motions: Array) -> None:
+    def add_motion(self, motions: Array) -> None:
         """Note that bodies have moved by these distances (b,)."""
-        others = np.zeros(len(self.rows))
-        for near, clump in zip(self.meetings.points, self.meetings.clump, strict=True):
+        others = np.zeros(len(self.near_points))
+        for near, clump in zip(self.candidate_pairs.points, self.candidate_pairs.clump, strict=True):
             others[near] = np.maximum(others[near], motions[self.rule.body(clump)])
-        self.approach += motions[self.rule.body(self.slave.clump[self.points.facet[self.rows]])] + others
+        self.motion_since_search += (
+            motions[self.rule.body(self.slave.clump[self.points.facet[self.near_points]])] + others
+        )
 
     def potentials_at(self, potentials: Array, slave: NDArray, master: NDArray) -> tuple[Array, Array]:
         """Nodal potentials (m, n) of slave and of master facets."""
         kind = self.slave.kind
         return (
             spread(kind, potentials[self.slave_nodes[slave]], self.slave.rounding[slave]),
-            spread(kind, potentials[self.master_nodes[master]], self.visible.rounding[master]),
+            spread(kind, potentials[self.master_nodes[master]], self.ghost_facets.rounding[master]),
         )
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """First-order changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
-        rows, partner = self.rows[self.met], self.facet[self.met]
+        rows, partner = self.projected_points, self.partner
         facet, there = self.points.facet[rows], None
         if self.jump is not None:
             there = self.potentials_at(at.potentials, facet, partner)[1]
         nodes = np.concatenate([self.slave_nodes[facet], self.master_nodes[partner]], axis=1)
-        roundings = self.slave.rounding[facet], self.visible.rounding[partner]
+        roundings = self.slave.rounding[facet], self.ghost_facets.rounding[partner]
         kind, shape = self.slave.kind, self.points.shape[rows]
         changes = first_changes(kind, self.projection, shape, change[nodes], there, roundings=roundings)
         return changes * [[1.0], [at.scale or 0.0]]
@@ -228,42 +242,42 @@ class SurfacePair:
     def has_slid(self, before: Array, reach: float) -> bool:
         """Whether points that answer have slid since the nodes were at `before`, or are on facets never cut."""
         answers = (self.projection.gap < reach) | (self.response.slope != 0.0)
-        rows, met = self.rows[self.met[answers]], self.met[answers]
-        facet, master = self.points.facet[rows], self.facet[met]
+        rows, met = self.near_points[self.projected[answers]], self.projected[answers]
+        facet, master = self.points.facet[rows], self.master_facet[met]
         points = np.einsum("mk,mkd->md", self.points.shape[rows], self.slave_at(before, facet))
-        nodes, sign, xi = self.master_at(before, master), self.visible.orientation[master], self.xi[met]
+        nodes, sign, xi = self.master_at(before, master), self.ghost_facets.orientation[master], self.master_xi[met]
         slide = np.abs(project(self.slave.kind, points, nodes, sign, xi).xi - xi).max(initial=0.0)
         return bool(slide > CUT_DRIFT or self._whole[rows].any())
 
     def _take(self, points: SlavePoints) -> None:
-        self.points, self.meets = points, np.ones(len(points.weight), bool)
-        self.drag = Drag.none(len(points.weight))
+        self.points, self.covered = points, np.ones(len(points.weight), bool)
+        self.viscous_bonds = ViscousBonds.none(len(points.weight))
         if self.segments:
             law, size = self._of_facets
-            self.law, self.size = law[points.facet], size[points.facet]
+            self.law, self.facet_size = law[points.facet], size[points.facet]
 
-    def met_clump(self) -> NDArray[np.int64]:
+    def partner_component(self) -> NDArray[np.int64]:
         """The clump that each point of the last evaluation met, (met,)."""
-        return self.visible.clump[self.facet[self.met]]
+        return self.ghost_facets.clump[self.partner]
 
-    def met_own(self) -> NDArray[np.bool_]:
+    def is_self_contact(self) -> NDArray[np.bool_]:
         """Whether each point of the last evaluation met a facet of its own connected part, (met,)."""
-        return self.rule.same_part(self.slave.clump[self.points.facet[self.rows[self.met]]], self.met_clump())
+        return self.rule.same_part(self.slave.clump[self.points.facet[self.projected_points]], self.partner_component())
 
-    def pairs_met(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def pair_numbers(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Number of the pair that each point met belongs to, and whether the point is on the first of the two.
 
         Of a body and itself the first is what comes first along it.
         """
         if pairs.given is not None:
-            return np.full(len(self.met), self.pair), np.full(len(self.met), self.first)
-        slave = self.rule.body(self.slave.clump[self.points.facet[self.rows[self.met]]])
-        master = self.rule.body(self.met_clump())
+            return np.full(len(self.projected), self.pair), np.full(len(self.projected), self.first)
+        slave = self.rule.body(self.slave.clump[self.points.facet[self.projected_points]])
+        master = self.rule.body(self.partner_component())
         first = slave < master
         if self.self_contact is not None:
             same = np.flatnonzero(slave == master)
             first[same] = self.self_contact.precedes(
-                self.points.facet[self.rows[self.met[same]]], self.facet[self.met[same]]
+                self.points.facet[self.near_points[self.projected[same]]], self.master_facet[self.projected[same]]
             )
         return pairs.of_bodies(slave, master), first
 
@@ -273,14 +287,14 @@ class SurfacePair:
 
     def corner_keys(self) -> NDArray[np.int64]:
         """(facets * corners, 4) numbers of the corners of the facets."""
-        return self._keys(*(index.ravel() for index in np.indices(self.shift.gap.shape)))
+        return self._keys(*(index.ravel() for index in np.indices(self.multipliers.gap.shape)))
 
-    def every_key(self, places: int) -> NDArray[np.int64]:
+    def possible_keys(self, places: int) -> NDArray[np.int64]:
         """Keys of all points that the facets could have, so many places each."""
         facet, place = np.divmod(np.arange(len(self.slave) * places), places)
         return self._keys(facet, place)
 
-    def recover(self, xi: Array, found: NDArray[np.bool_], places: int) -> None:
+    def restore_points(self, xi: Array, found: NDArray[np.bool_], places: int) -> None:
         """Take the points of a checkpoint, asked for by `every_key`; their weights come when they are cut anew."""
         facet, place = np.divmod(np.flatnonzero(found), places)
         none = np.zeros(len(facet))

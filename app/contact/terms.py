@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.contact.active_set import answer, linearized_response
+from piezomat.contact.active_set import linearized_response, response
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
@@ -20,7 +20,7 @@ from piezomat.forms.contact.laws.interface import Response
 class ContactTerms:
     """For each pair of facets in contact its nodes (k, n) (numbers in `Contact.nodes`) and its terms.
 
-    vectors (k, n, components) and, of the tangent, matrices (k, n * components, n * components).
+    vectors (k, n, block_size) and, of the tangent, matrices (k, n * block_size, n * block_size).
     """
 
     nodes: NDArray[np.int64]
@@ -28,31 +28,31 @@ class ContactTerms:
     matrices: Array | None
 
 
-def no_terms(p: SurfacePair | RigidPlane, components: int, *, tangent: bool) -> ContactTerms:
+def no_terms(p: SurfacePair | RigidPlane, block_size: int, *, tangent: bool) -> ContactTerms:
     """The terms of a pass where nothing is in contact."""
     n = 2 * p.slave.nodes.shape[1]
-    matrices = np.zeros((0, n * components, n * components)) if tangent else None
-    return ContactTerms(np.zeros((0, n), np.int64), np.zeros((0, n, components)), matrices)
+    matrices = np.zeros((0, n * block_size, n * block_size)) if tangent else None
+    return ContactTerms(np.zeros((0, n), np.int64), np.zeros((0, n, block_size)), matrices)
 
 
-def surface_terms(p: SurfacePair, at: NodalState, *, tangent: bool, dragged: bool) -> ContactTerms:
+def surface_terms(p: SurfacePair, at: NodalState, *, tangent: bool, viscous: bool) -> ContactTerms:
     """The terms of a pass whose points have met their partners; sets its `jump`, `gap`, `response` and `force`.
 
-    dragged: whether the pass's drag counts.
+    viscous: whether the pass's drag counts.
     """
-    kind, rows, partner = p.slave.kind, p.rows[p.met], p.facet[p.met]
+    kind, rows, partner = p.slave.kind, p.projected_points, p.partner
     facet, xi, shape = p.points.facet[rows], p.points.xi[rows], p.points.shape[rows]
     p.jump = None
     if at.potentials is not None and p.law.electric_penalty is not None:
         here, there = p.potentials_at(at.potentials, facet, partner)
         p.jump = np.einsum("mk,mk->m", shape, here)
         p.jump = at.scale * (p.jump - np.einsum("mk,mk->m", kind.shape(p.projection.xi), there))
-    shift = p.shift.at(kind, facet, xi)
+    shift = p.multipliers.at(kind, facet, xi)
     p.gap = p.projection.gap + shift[0]
-    r = p.response = answer(p, at, shift)
-    if dragged:
-        r.slope = r.slope + p.drag.traction(p.projection.gap, rows)
-        r.curvature = r.curvature + p.drag.stiffness[rows]
+    r = p.response = response(p, at, shift)
+    if viscous:
+        r.slope = r.slope + p.viscous_bonds.traction(p.projection.gap, rows)
+        r.curvature = r.curvature + p.viscous_bonds.stiffness[rows]
     active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
     scaled, (slope, charge) = r, linearized_response(p)
     if p.jump is not None:
@@ -67,16 +67,16 @@ def surface_terms(p: SurfacePair, at: NodalState, *, tangent: bool, dragged: boo
         p.share * p.points.weight[rows][active],
         (slope[active], charge[active]),
         scaled,
-        at.components,
+        at.block_size,
         there[active] if p.jump is not None else None,
         tangent=tangent,
-        geometric_stiffness=at.exact,
-        roundings=(p.slave.rounding[facet[active]], p.visible.rounding[partner[active]]),
+        geometric_stiffness=at.consistent_tangent,
+        roundings=(p.slave.rounding[facet[active]], p.ghost_facets.rounding[partner[active]]),
     )
     d = at.position.shape[1]
     p.force = np.zeros((len(rows), d))
     p.force[active] = -vectors[:, : vectors.shape[1] // 2, :d].sum(axis=1)
-    facet, partner, masters = facet[active], partner[active], max(len(p.visible), 1)
+    facet, partner, masters = facet[active], partner[active], max(len(p.ghost_facets), 1)
     nodes = np.concatenate([p.slave_nodes[facet], p.master_nodes[partner]], axis=1)
     return _sum_by_pair(facet * masters + partner, nodes, vectors, matrices)
 

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.model import Model
 
 
-def touching_bodies(model: Model, contact: Contact) -> set[int]:
+def touching_bodies(model: Model, contact: Interfaces) -> set[int]:
     """Numbers of the bodies in contact with others or with planes at the last evaluation. Collective."""
     found: set[int] = set()
-    for p in contact.every:
+    for p in contact.point_sets:
         closed = p.gap <= p.law.equilibrium_gap
         plane = isinstance(p, RigidPlane)
         if not plane:
-            closed &= ~p.met_own()  # what touches itself alone is alone
-        facets = p.points.facet[p.rows[p.met[closed]]]
+            closed &= ~p.is_self_contact()  # what touches itself alone is alone
+        facets = p.points.facet[p.near_points[p.projected[closed]]]
         found |= set(np.unique(p.slave.body[facets]).tolist())
         if plane:
             continue
         if contact.pairs.given is None:
-            found |= set(p.rule.body(p.met_clump()[closed]).tolist())
+            found |= set(p.rule.body(p.partner_component()[closed]).tolist())
         elif closed.any():
             found |= p.master_bodies
     return set().union(*model.comm.allgather(found))

@@ -4,32 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import electric_share
 from piezomat.meshes import parallel
 
 
-def augment(contact: Contact, tolerance: float, potential_range: float) -> Array | None:
+def augment(contact: Interfaces, tolerance: float, potential_range: float) -> Array | None:
     """None if gaps and jumps of the last evaluation are within a tolerance; else a step of Uzawa's, and what they are.
 
     tolerance: in facet sizes, and in the range of the potential (V), as is what is left (2,). Collective. Source:
     forms/contact/augmentation.py.
     """
     after, worst = [], np.zeros(2)
-    for p in contact.every:
-        rows = p.rows[p.met]
+    for p in contact.point_sets:
+        rows = p.projected_points
         share, jump = electric_share(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
         means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
-        new = p.shift.augmented(contact.corner_sums(p, rows, p.points.weight[rows, None] * means))
+        new = p.multipliers.augmented(contact.corner_sums(p, rows, p.points.weight[rows, None] * means))
         size = np.zeros(len(p.slave))
-        size[p.points.facet] = p.size
-        gap, jump = np.abs(new.gap - p.shift.gap) / size[:, None], np.abs(new.jump - p.shift.jump) / potential_range
+        size[p.points.facet] = p.facet_size
+        gap, jump = (
+            np.abs(new.gap - p.multipliers.gap) / size[:, None],
+            np.abs(new.jump - p.multipliers.jump) / potential_range,
+        )
         worst = np.maximum(worst, [gap.max(initial=0.0), jump.max(initial=0.0)])
         after.append(new)
     left = parallel.largest(contact.comm, worst)
     if (left <= tolerance).all():
         return None
-    for p, new in zip(contact.every, after, strict=True):
-        p.shift = new
+    for p, new in zip(contact.point_sets, after, strict=True):
+        p.multipliers = new
     return left

@@ -8,7 +8,7 @@ import numpy as np
 import ufl
 from numpy.typing import NDArray
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
@@ -72,11 +72,11 @@ class FieldOutput:
         )
 
 
-def contact_points(contact: Contact, electric: bool) -> ContactPoints:
+def contact_points(contact: Interfaces, electric: bool) -> ContactPoints:
     """This rank's contact points near another surface or a plane, at the last evaluation."""
     columns: list[list[Array]] = [[] for _ in range(7)]
-    for p in contact.every:
-        rows = p.rows[p.met]
+    for p in contact.point_sets:
+        rows = p.projected_points
         gap = p.projection.gap
         pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
@@ -90,13 +90,13 @@ def contact_points(contact: Contact, electric: bool) -> ContactPoints:
     )
 
 
-def _pair_numbers(contact: Contact, p: SurfacePair | RigidPlane) -> NDArray[np.int64]:
+def _pair_numbers(contact: Interfaces, p: SurfacePair | RigidPlane) -> NDArray[np.int64]:
     """The place of each point's pair among the listed ones, its number where none are listed; then come planes."""
     pairs = contact.pairs
     if isinstance(p, RigidPlane):
         beyond = len(pairs.bodies) ** 2 if pairs.given is None and not pairs.listed else len(pairs.listed)
-        return np.full(len(p.rows), beyond + contact.planes.index(p))
-    number, _ = p.pairs_met(pairs)
+        return np.full(len(p.near_points), beyond + contact.planes.index(p))
+    number, _ = p.pair_numbers(pairs)
     return np.searchsorted(list(pairs.listed), number) if pairs.listed else number
 
 

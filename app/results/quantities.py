@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.model import Condition, Model
 from piezomat.forms.arrays import Array
@@ -151,7 +151,7 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
 
 
-def _listed_pairs(contact: Contact, model: Model) -> dict[str, float]:
+def _listed_pairs(contact: Interfaces, model: Model) -> dict[str, float]:
     names, table = pair_columns(model.dim, model.electric), pair_table(contact)
     values = {}
     for number, pair in contact.pairs.listed.items():
@@ -160,17 +160,17 @@ def _listed_pairs(contact: Contact, model: Model) -> dict[str, float]:
     return values
 
 
-def plane_values(contact: Contact, plane: RigidPlane, electric: bool) -> dict[str, float]:
+def plane_values(contact: Interfaces, plane: RigidPlane, electric: bool) -> dict[str, float]:
     """Force that a plane exerts, area, largest pressure and penetration, charge of an electrode and its potential.
 
     Of an insulator the mean potential is that of the surfaces on it, nan where nothing touches it. Collective.
     """
     d, gap = contact.dim, plane.projection.gap
-    area = plane.points.area[plane.rows]
+    area = plane.points.area[plane.near_points]
     closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
     sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
-    pressure = -plane.response.slope * plane.points.weight[plane.rows] / area
+    pressure = -plane.response.slope * plane.points.weight[plane.near_points] / area
     largest = np.array([pressure.max(initial=0.0), -gap.min(initial=0.0)])
     largest = parallel.largest(contact.comm, largest)
     values = {f"force_{axis}@{plane.name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}
@@ -183,16 +183,16 @@ def plane_values(contact: Contact, plane: RigidPlane, electric: bool) -> dict[st
     return values
 
 
-def pair_table(contact: Contact) -> dict[int, Array]:
+def pair_table(contact: Interfaces) -> dict[int, Array]:
     """Of each pair that is in contact, by number, what `pair_columns` names, in this order. Collective.
 
     Force on the first of the pair (d,), area, bonded area, largest pressure, penetration and potential jump.
     """
     d = contact.dim
     mine: dict[int, Array] = {}
-    for p in contact.passes:
-        r, gap, rows = p.response, p.projection.gap, p.rows[p.met]
-        number, first = p.pairs_met(contact.pairs)
+    for p in contact.surface_pairs:
+        r, gap, rows = p.response, p.projection.gap, p.projected_points
+        number, first = p.pair_numbers(contact.pairs)
         area = p.points.area[rows]
         closed = p.gap <= p.law[rows].equilibrium_gap
         # History is that of the converged step, so bonds that broke in it no longer count.

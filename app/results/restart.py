@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
@@ -38,7 +38,7 @@ def save(
         "size": stepper.size,
         "motion": stepper.last_motion,
         "penetration": contact.last_penetration if contact is not None else 0.0,
-        "places": contact.places() if contact is not None else 0,
+        "places": contact.points_per_facet() if contact is not None else 0,
         "external_work": balance.external_work,
         "stabilization": balance.stabilization,
     }
@@ -65,37 +65,37 @@ def load(folder: Path, problem: Problem, stepper: Stepper, balance: Balance) -> 
     return stored.step, list(stored.scalars["history"])
 
 
-def _points(contact: Contact, *, augmented: bool) -> Points:
+def _points(contact: Interfaces, *, augmented: bool) -> Points:
     """What contact points remember, by their keys."""
-    known = [p.history.touched for p in contact.every]
-    keys = np.concatenate([p.keys()[k] for p, k in zip(contact.every, known, strict=True)])
-    opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.every, known, strict=True)])
+    known = [p.history.touched for p in contact.point_sets]
+    keys = np.concatenate([p.keys()[k] for p, k in zip(contact.point_sets, known, strict=True)])
+    opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.point_sets, known, strict=True)])
     points = {"opening": (keys, opening[:, None])}
     if augmented:
-        shifts = [np.stack([p.shift.gap, p.shift.jump], axis=2).reshape(-1, 2) for p in contact.every]
-        points["shift"] = (np.concatenate([p.corner_keys() for p in contact.every]), np.concatenate(shifts))
-    if contact.cuts:
+        shifts = [np.stack([p.multipliers.gap, p.multipliers.jump], axis=2).reshape(-1, 2) for p in contact.point_sets]
+        points["shift"] = (np.concatenate([p.corner_keys() for p in contact.point_sets]), np.concatenate(shifts))
+    if contact.has_segments:
         # Where pieces lie follows from states before this one.
         points["place"] = (
-            np.concatenate([p.keys() for p in contact.passes]),
-            np.concatenate([p.points.xi for p in contact.passes]),
+            np.concatenate([p.keys() for p in contact.surface_pairs]),
+            np.concatenate([p.points.xi for p in contact.surface_pairs]),
         )
     return points
 
 
-def _take_up(contact: Contact, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
+def _take_up(contact: Interfaces, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
     contact.last_penetration = stored.scalars["penetration"]
-    for p in contact.passes:
+    for p in contact.surface_pairs:
         if p.segments:
-            every = p.every_key(stored.scalars["places"])
-            p.recover(*stored.points("place", every), stored.scalars["places"])
-    for p in contact.every:
+            every = p.possible_keys(stored.scalars["places"])
+            p.restore_points(*stored.points("place", every), stored.scalars["places"])
+    for p in contact.point_sets:
         values, found = stored.points("opening", p.keys())
         p.history.touched[:] = found
         p.history.opening[:] = np.where(found, values[:, 0], 0.0)
         if augmented:
             values, _ = stored.points("shift", p.corner_keys())
-            p.shift.gap[:], p.shift.jump[:] = values.T.reshape(2, *p.shift.gap.shape)
+            p.multipliers.gap[:], p.multipliers.jump[:] = values.T.reshape(2, *p.multipliers.gap.shape)
 
 
 def _node_ids(model: Model) -> NDArray[np.int64]:

@@ -40,7 +40,9 @@ class Condensation:
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.block
         self.candidates = np.zeros(0, np.int64)
-        self._ahead = problem.contact.ahead = AHEAD * (problem.model.largest_motion() or problem.contact.least_margin())
+        self._ahead = problem.contact.candidate_distance = AHEAD * (
+            problem.model.largest_motion() or problem.contact.least_search_radius()
+        )
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._of = -1
         self._factors = SchurFactors()
@@ -62,7 +64,7 @@ class Condensation:
             self.outgrown = self.outgrown or outgrown
             nodes, matrices = nodes[inside], matrices[inside]
         elif outgrown or self._of != self.problem.stiffness_version:
-            wanted = np.union1d(nodes, self.problem.contact.reserve(self._ahead))
+            wanted = np.union1d(nodes, self.problem.contact.candidate_nodes(self._ahead))
             candidates = np.unique(np.concatenate([self.candidates, *self.comm.allgather(wanted)]))
             if len(candidates) * self.block > limit:
                 return False

@@ -126,13 +126,13 @@ class Stepper:
         problem.begin_step(margin)
         if drag is not None:
             problem.residual(problem.state, problem.state.duplicate())
-            problem.contact.hold_back(drag)
+            problem.contact.start_viscous_regularization(drag)
         try:
             self._solve(margin, report)
         except SolveError:
             problem.converged_state.copy(problem.state)
             if problem.contact is not None:
-                problem.contact.give_up()
+                problem.contact.restore_multipliers()
             raise
         self.last_motion = problem.motion()
         problem.snap_through_work = snap_through_work(problem)
@@ -174,11 +174,13 @@ class Stepper:
         if self.problem.contact is None:
             return ""
         self.revisit()
-        depth = self.problem.contact.depth()
+        depth = self.problem.contact.penetration_in_facets()
         if depth > DEEP:
             return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
         model = self.problem.model
-        fades = [float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.every if p.law.fade is not None]
+        fades = [
+            float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.point_sets if p.law.fade is not None
+        ]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
         voltage = model.largest_voltage()  # what the bodies make of their strain has never pulled them together
         permittivity = min((m.mean_permittivity for m in model.materials if m.electric), default=0.0)
@@ -212,13 +214,13 @@ class Stepper:
                     return
                 level, wait = level + (wait == 0), max(wait - 1, 0)
         finally:
-            self.problem.contact.let_go()
+            self.problem.contact.end_viscous_regularization()
         raise SolveError(f"bonds snap, and do not come to rest in {SNAP_PARTS} parts")
 
     def revisit(self) -> None:
         """Evaluate residual and contact at the present state, as they are at the end of a step."""
         problem = self.problem
-        problem.begin_step(problem.contact.least_margin() if problem.contact is not None else 0.0)
+        problem.begin_step(problem.contact.least_search_radius() if problem.contact is not None else 0.0)
         problem.residual(problem.state, problem.state.duplicate())
 
     def margin(self) -> float:
@@ -226,4 +228,4 @@ class Stepper:
         problem = self.problem
         if problem.contact is None:
             return 0.0
-        return problem.contact.least_margin() + 4.0 * max(problem.prescribed_motion(), self.last_motion)
+        return problem.contact.least_search_radius() + 4.0 * max(problem.prescribed_motion(), self.last_motion)

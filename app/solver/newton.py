@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact import active_set as foresight
+from piezomat.contact import active_set
 from piezomat.forms import fenicsx
 from piezomat.scene.sections import Solver
 from piezomat.solver.linear import linear_solver
@@ -106,8 +106,8 @@ class Newton:
         self._misses = 0
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
-            problem.contact.pulls = not (problem.model.has_unconstrained_bodies and problem.model.electric)
-            problem.contact.settle(0, np.inf, loose=problem.has_weakly_held_bodies)
+            problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
+            problem.contact.set_tolerance_and_tangent(0, np.inf, loose=problem.has_weakly_held_bodies)
         self._predict(report, closely=problem.is_linear)
         if problem.is_linear:
             self._refine(report)
@@ -130,7 +130,7 @@ class Newton:
                 elif rechecks and self._overstayed():
                     rechecks -= 1
                     continue
-                elif cuts and problem.contact is not None and problem.contact.stale():
+                elif cuts and problem.contact is not None and problem.contact.has_stale_segments():
                     cuts -= 1
                 elif rechecks:
                     self._polish(report)
@@ -167,7 +167,7 @@ class Newton:
     def _overstayed(self) -> bool:
         """Whether points had kept facets that they have left, and without them there is no equilibrium here."""
         problem = self.problem
-        if problem.contact is None or not problem.contact.release():
+        if problem.contact is None or not problem.contact.tighten_projection_tolerance():
             return False
         problem.residual(problem.state, self._residual)
         return self._relative(self._residual) > self.keys.tolerance
@@ -218,13 +218,13 @@ class Newton:
         small steps. residual: the relative one at x.
         """
         problem, contact, ksp = self.problem, self.problem.contact, self.snes.getKSP()
-        if not self._condensed_few() or self._misses >= MISSES or contact.adhesive or contact.broken:
+        if not self._condensed_few() or self._misses >= MISSES or contact.adhesive or contact.evaluation_failed:
             return
         best, least = change.copy(), np.inf
         for _ in range(FORESIGHTS):
             if not self._condensed_few():
                 break
-            unforeseen = float(self._ratios(foresight.foresee(contact, change)).max())
+            unforeseen = float(self._ratios(active_set.predict(contact, change)).max())
             if unforeseen < least:
                 change.copy(best)
                 least = unforeseen
@@ -245,7 +245,7 @@ class Newton:
             change.axpy(1.0, self._trial)
             self._report.krylov += ksp.getIterationNumber()
         best.copy(change)
-        foresight.end(contact)
+        active_set.end_prediction(contact)
 
     def _condensed_few(self) -> bool:
         condensation = self.linear.condensation
@@ -318,7 +318,7 @@ class Newton:
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
-            self.problem.contact.settle(
+            self.problem.contact.set_tolerance_and_tangent(
                 snes.getIterationNumber(), self._report.residuals[-1], loose=self.problem.has_weakly_held_bodies
             )
         self._operators = self.linear.linearize(x)
@@ -331,15 +331,15 @@ class Newton:
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """Each field's residual against the forces of that field; a NaN, or a pairing outgrown, ends the solve."""
         contact = self.problem.contact
-        if contact is not None and contact.outgrown:
+        if contact is not None and contact.search_radius_exceeded:
             self._repair = True
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         if self.linear.condensation is not None and self.linear.condensation.outgrown:
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         residual = snes.getFunction()[0]
         ratio = self._relative(residual)
-        if contact is not None and not contact.pulls and self._relatives(residual)[0] <= PULLING:
-            contact.pulls = True
+        if contact is not None and not contact.attraction and self._relatives(residual)[0] <= PULLING:
+            contact.attraction = True
             self.problem.residual(snes.getSolution(), residual)
             ratio = self._relative(residual)
         self._report.residuals.append(ratio)

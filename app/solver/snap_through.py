@@ -32,7 +32,7 @@ def snap_through_work(problem: Problem) -> Array | None:
     fixed = np.zeros(len(problem.residual_with_reactions.array_r), bool)
     fixed[problem.model.fixed] = True
     fixed = fixed.reshape(-1, problem.model.block)[:, : problem.model.dim]
-    dragged, contact.dragged = contact.dragged, False
+    dragged, contact.viscous_regularization = contact.viscous_regularization, False
 
     def power(share: float) -> Array:
         x = (1.0 - share) * problem.converged_state + share * end
@@ -58,7 +58,7 @@ def snap_through_work(problem: Problem) -> Array | None:
         before, found = found, _simpson(values)
         if np.abs(found - before).max() <= ACCURACY * np.abs(found).max():
             break
-    contact.dragged = dragged
+    contact.viscous_regularization = dragged
     problem.residual(end, end.duplicate())
     return found if snaps else None
 

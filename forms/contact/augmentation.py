@@ -22,28 +22,28 @@ from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Respons
 
 
 @dataclass
-class Shift:
+class Multipliers:
     """What is added to gap, um, never positive, and to potential jump, V, at the corners (f, k) of slave facets."""
 
     gap: Array
     jump: Array
 
     @classmethod
-    def none(cls, kind: FacetKind, facets: int) -> Shift:
+    def none(cls, kind: FacetKind, facets: int) -> Multipliers:
         """Penalties alone."""
         corners = len(corner_kind(kind).nodes)
         return cls(np.zeros((facets, corners)), np.zeros((facets, corners)))
 
-    def copy(self) -> Shift:
+    def copy(self) -> Multipliers:
         """A shift of its own."""
-        return Shift(self.gap.copy(), self.jump.copy())
+        return Multipliers(self.gap.copy(), self.jump.copy())
 
     def at(self, kind: FacetKind, facet: NDArray[np.int64], xi: Array) -> tuple[Array, Array]:
         """Shifts of gap and jump (m,) at points of facets."""
         shape = corner_kind(kind).shape(xi)
         return np.einsum("mk,mk->m", shape, self.gap[facet]), np.einsum("mk,mk->m", shape, self.jump[facet])
 
-    def augmented(self, sums: Array) -> Shift:
+    def augmented(self, sums: Array) -> Multipliers:
         """The shift after one of Uzawa's steps.
 
         sums (f, k, 4): over the points that meet something, weight times N times 1, gap, s and s times jump, s being
@@ -52,7 +52,7 @@ class Shift:
         """
         weight = sums[..., 0]
         gap, share, jump = np.moveaxis(sums[..., 1:] / np.where(weight > 0.0, weight, 1.0)[..., None], -1, 0)
-        return Shift(np.where(weight > 0.0, np.minimum(self.gap + gap, 0.0), 0.0), share * self.jump + jump)
+        return Multipliers(np.where(weight > 0.0, np.minimum(self.gap + gap, 0.0), 0.0), share * self.jump + jump)
 
 
 def corner_kind(kind: FacetKind) -> FacetKind:

@@ -52,7 +52,7 @@ def minus_as_plus(interfaces_of: Any) -> Any:
 
     def flipped(model: Any) -> Any:
         contact = interfaces_of(model)
-        for p in contact.passes:
+        for p in contact.surface_pairs:
             if p.law.electric_penalty is not None:
                 p.law.electric_penalty[:] *= -1.0
         return contact

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.forms.contact.augmentation import Shift, augmented_response
+from piezomat.forms.contact.augmentation import Multipliers, augmented_response
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.laws.interface import Adhesion, History, InterfaceLaw
 from piezomat.scene.scene import Scene, SceneError
@@ -157,7 +157,7 @@ def test_responses_are_derivatives_of_the_enthalpy(rng: np.random.Generator) -> 
 def test_a_step_takes_in_what_presses_and_lets_go_of_what_does_not() -> None:
     """Means of gap and jump over a corner's points; without contact there, nothing stays."""
     kind = facet_kind("line3")
-    shift = Shift(np.array([[-0.2, -0.1]]), np.array([[1.0, 1.0]]))
+    shift = Multipliers(np.array([[-0.2, -0.1]]), np.array([[1.0, 1.0]]))
     #              weight gap   s    s * jump
     sums = np.array([[[2.0, 0.2, 2.0, 1.0], [2.0, 0.6, 1.0, 0.0]]])
     new = shift.augmented(sums)
@@ -168,4 +168,4 @@ def test_a_step_takes_in_what_presses_and_lets_go_of_what_does_not() -> None:
     gap, jump = new.at(kind, np.array([0, 0]), np.array([[0.0], [0.25]]))
     np.testing.assert_allclose(gap, [-0.1, -0.075])
     np.testing.assert_allclose(jump, [1.5, 1.25])
-    assert Shift.none(kind, 4).gap.shape == (4, 2)
+    assert Multipliers.none(kind, 4).gap.shape == (4, 2)

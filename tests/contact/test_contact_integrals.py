@@ -246,7 +246,7 @@ class Stack:
         self.bodies = create(comm, scene.geometry, scene.sizes)
         self.model = Model(scene, self.bodies)
         self.contact = interfaces_of(self.model)
-        only = self.contact.passes[0]
+        only = self.contact.surface_pairs[0]
         self.upper, self.lower = np.unique(only.slave.nodes), np.unique(only.master.nodes)
         x = self.model.coordinates[:, : dim - 1]
         distance, partner = cKDTree(x[self.lower]).query(x[self.upper])
@@ -257,9 +257,9 @@ class Stack:
         """Residual and tangent of the contact at nodal values (nodes, c), dense over (upper, partner) nodes."""
         state = fenicsx.petsc_vector(self.model.state)
         state.array[:] = values.ravel()
-        self.contact.pair(state, 1.0)
+        self.contact.detect(state, 1.0)
         terms = self.contact.evaluate(state, tangent=True)
-        assert len(self.contact.passes[0].met) == len(self.contact.passes[0].points.weight)
+        assert len(self.contact.surface_pairs[0].projected) == len(self.contact.surface_pairs[0].points.weight)
         nodes, c = self.contact.global_nodes(terms), values.shape[1]
         count = len(values)
         residual, tangent = np.zeros((count, c)), np.zeros((count * c, count * c))
@@ -289,7 +289,7 @@ class Stack:
         degree = 2 * order if d == 3 and fenicsx.cell_name(model.mesh) == "tetrahedron" else 2 * order + 1
         degree = 2 * CURVED_LINE - 1 if d == 2 and order == 2 else degree  # the same points, so the same rule
         ds = ufl.Measure("ds", domain=model.mesh, subdomain_data=tags, metadata={"quadrature_degree": degree})(1)
-        law = self.contact.passes[0].law
+        law = self.contact.surface_pairs[0].law
         constants = float(law.penalty[0]), float(law.electric_penalty[0]), model.potential_scale
         residual, tangent = interface_forms(space, state, d, *constants, ds)
         rows = (here[self.upper][:, None] * 2 * c + np.arange(2 * c)).ravel().astype(PETSc.IntType)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact import active_set as foresight
-from piezomat.contact.interfaces import Contact
+from piezomat.contact import active_set
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.integrals import first_changes
@@ -46,13 +46,13 @@ def askew(**mesh: Any) -> Scene:
     )
 
 
-def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Contact, Any, Any]:
+def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Interfaces, Any, Any]:
     """The scene's contact, paired at a random state, that state and a random change of it."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
     state, change = model.coordinate_vector(), model.coordinate_vector()
     state.array[:], change.array[:] = 0.05 * rng.standard_normal((2, len(state.array)))
-    contact.pair(state, 10.0)
+    contact.detect(state, 10.0)
     return contact, state, change
 
 
@@ -64,15 +64,15 @@ def test_what_a_plane_answers_is_foreseen_exactly(order: int, comm: MPI.Comm, rn
         p.law.fade[:] = 0.3  # points in the fading part of the electric law count too
     contact.evaluate(state, tangent=True)
     (p,) = contact.planes
-    unforeseen = foresight.foresee(contact, change)
+    unforeseen = active_set.predict(contact, change)
     terms = contact.evaluate(state, tangent=True)
-    assert np.abs(foresight.foresee(contact, change)).max() < 1e-12 * unforeseen.max()
+    assert np.abs(active_set.predict(contact, change)).max() < 1e-12 * unforeseen.max()
     found, expected = state.duplicate(), state.duplicate()
     for vector in (found, expected):
         vector.set(0.0)
     contact.add_product(terms, change, found)
     contact.add_residual(terms, found)
-    foresight.end(contact)
+    active_set.end_prediction(contact)
     moved, at = state + change, p.projection.gap
     contact.add_residual(contact.evaluate(moved, tangent=False), expected)
     assert np.linalg.norm((found - expected).array) < 1e-12 * np.linalg.norm(expected.array)

@@ -104,7 +104,7 @@ def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
     stiffness = model.materials[0].mean_stiffness
     wanted = 3.0 * voltage * np.sqrt(PERMITTIVITY / stiffness)
     for plane in interfaces_of(model).planes:
-        assert plane.law.fade == pytest.approx(np.maximum(0.1 * plane.size, wanted))
+        assert plane.law.fade == pytest.approx(np.maximum(0.1 * plane.facet_size, wanted))
         assert len(np.unique(plane.law.fade)) == (1 if voltage == 100.0 else 2)
 
 
@@ -147,7 +147,7 @@ def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
     # Wide enough that points in the fading part of the law count too.
     for plane in contact.planes:
         plane.law.fade[:] = 0.3
-    contact.pair(state, 10.0)
+    contact.detect(state, 10.0)
 
     def energy(at: Any) -> float:
         contact.evaluate(at, tangent=False)

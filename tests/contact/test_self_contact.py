@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
@@ -174,7 +174,7 @@ def test_a_hairpin_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path: Pat
         assert_equal(run(scene, comm).history, alone)
 
 
-def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Contact, Array]:
+def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Interfaces, Array]:
     """A hairpin whose nodes (n, 3) have moved, its contact there, and where that has them."""
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
@@ -182,7 +182,7 @@ def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Contac
     local[:, :3] = motion(x)
     state = model.coordinate_vector()
     state.array[:] = local.ravel()
-    contact.pair(state, 0.5)
+    contact.detect(state, 0.5)
     contact.evaluate(state, tangent=False)
     return model, contact, (x + local[:, :3])[contact.nodes]
 
@@ -201,8 +201,8 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     """And that is always on the other leg, across the open space between them."""
     scene = pressed_hairpin(hairpin(tmp_path / "hairpin.csv"), cells, electric_range=0.1, passes=passes)
     model, contact, position = moved(scene, closing)
-    (p,) = contact.passes
-    rows, partner = p.rows[p.met], p.facet[p.met]
+    (p,) = contact.surface_pairs
+    rows, partner = p.projected_points, p.partner
     here, there = p.self_contact.slave.middle[p.points.facet[rows], 2], p.self_contact.master.middle[partner, 2]
     assert (here * there < 0.0).all() and (np.abs([here, there]) < RADIUS + 0.5 * LEGS_APART).all()
     kind, own = p.slave.kind, p.points.facet
@@ -212,11 +212,11 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     some = np.union1d(rng.choice(len(points), 150, replace=False), rows[p.projection.gap < p.law.interaction_range])
     pairs = np.meshgrid(own[some], np.arange(len(master)), indexing="ij")
     may = p.may_meet(*(index.ravel() for index in pairs)).reshape(pairs[0].shape)
-    given = points[some], normals[some], master, p.visible.orientation, p.visible.key, p.depth
+    given = points[some], normals[some], master, p.ghost_facets.orientation, p.ghost_facets.key, p.depth
     found = brute_force_facets(kind, *given, may)
     gap = np.full(len(some), np.inf)
     hit = found >= 0
-    gap[hit] = project(kind, points[some][hit], master[found[hit]], p.visible.orientation[found[hit]]).gap
+    gap[hit] = project(kind, points[some][hit], master[found[hit]], p.ghost_facets.orientation[found[hit]]).gap
     met = np.full(len(points), -1)
     met[rows] = partner
     near = gap < p.law.interaction_range
@@ -237,9 +237,9 @@ def test_what_did_not_face_each_other_may_meet_if_it_is_far_along(tmp_path: Path
         ]
 
     _, contact, _ = moved(scene, under)
-    (p,) = contact.passes
+    (p,) = contact.surface_pairs
     deep = np.flatnonzero(p.projection.gap < 0.0)
-    here, there = p.points.facet[p.rows[p.met[deep]]], p.facet[p.met[deep]]
+    here, there = p.points.facet[p.near_points[p.projected[deep]]], p.master_facet[p.projected[deep]]
     slave, master = p.self_contact.slave, p.self_contact.master
     end = slave.middle[here, 0] < -0.5 * LEG
     assert end.sum() > 10
@@ -315,8 +315,8 @@ def test_nothing_of_straight_fibers_is_tried_against_themselves(cells: str, orde
     contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.set(0.0)
-    contact.pair(state, 1.0)
-    (p,) = contact.passes
-    own = [c for c in p.candidates if c is not None]
-    assert len(own) == len(scene.body_names) < len(p.candidates)
+    contact.detect(state, 1.0)
+    (p,) = contact.surface_pairs
+    own = [c for c in p.self_candidates if c is not None]
+    assert len(own) == len(scene.body_names) < len(p.self_candidates)
     assert all(len(c.facet) == 0 for c in own)

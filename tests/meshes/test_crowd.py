@@ -91,18 +91,18 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     state = model.coordinate_vector()
     state.array[:] = 0.02 * rng.standard_normal(len(state.array))
     margin = 0.3
-    contact.pair(state, margin)
+    contact.detect(state, margin)
     contact.evaluate(state, tangent=False)
-    (p,) = contact.passes
+    (p,) = contact.surface_pairs
     position = model.coordinates + state.array_r.reshape(-1, model.block)[:, :3]
     facets, own = position[p.slave.nodes], p.points.facet
     points = np.einsum("mk,mkd->md", p.points.shape, facets[own])
     normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
     body = p.rule.body(p.slave.clump)
     met = np.full(len(points), -1)
-    met[p.rows[p.met]] = p.visible.key[p.facet[p.met]]
+    met[p.projected_points] = p.ghost_facets.key[p.partner]
     chosen = rng.choice(len(points), 250, replace=False)
-    chosen = np.union1d(chosen, rng.choice(p.rows[p.met], 100, replace=False))
+    chosen = np.union1d(chosen, rng.choice(p.projected_points, 100, replace=False))
     least, partner = np.full(len(points), np.inf), np.full(len(points), -1)
     for other in range(8):
         theirs = np.flatnonzero(body == other)
@@ -141,15 +141,15 @@ def test_what_comes_near_is_found_without_a_search_of_all(
         found = []
         for i, c in enumerate((contact, anew)):
             if i or not step:
-                c.pair(state, margin)
+                c.detect(state, margin)
             looked.clear()
             c.evaluate(state, tangent=False)
             work[i] += sum(looked)
-            (p,) = c.passes
+            (p,) = c.surface_pairs
             gap = np.full(len(p.points.weight), np.inf)
-            gap[p.rows[p.met]] = p.projection.gap
+            gap[p.projected_points] = p.projection.gap
             found.append(gap)
-        assert not contact.outgrown
+        assert not contact.search_radius_exceeded
         acts = found[1] < p.law.interaction_range
         # At the edge of an end a partner is kept that a point paired anew would not take any more: it is deeper in.
         assert (found[0][acts] < p.law.interaction_range + 0.01).all()
@@ -203,15 +203,15 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     """Kinds of bodies are paired with themselves and each other; one pass has the lower body for a slave."""
     both = mat(bodies={"*": "pvdf", "fiber_2": "elastic", "fiber_5": "elastic"})
     contact = interfaces_of(Model(both, create(comm, both.geometry, both.sizes)))
-    assert len(contact.passes) == 4
-    assert sum(p.law.electric_penalty is not None for p in contact.passes) == 1
+    assert len(contact.surface_pairs) == 4
+    assert sum(p.law.electric_penalty is not None for p in contact.surface_pairs) == 1
     once = mat(contact={"passes": 1})
     model = Model(once, create(comm, once.geometry, once.sizes))
     contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.array[:] = 0.0
-    contact.pair(state, 0.3)
+    contact.detect(state, 0.3)
     contact.evaluate(state, tangent=False)
-    (p,) = contact.passes
-    slave, master = p.rule.body(p.slave.clump[p.points.facet[p.rows[p.met]]]), p.rule.body(p.met_clump())
-    assert len(p.met) > 20 and (slave < master).all() and p.share == 1.0
+    (p,) = contact.surface_pairs
+    slave, master = p.rule.body(p.slave.clump[p.points.facet[p.projected_points]]), p.rule.body(p.partner_component())
+    assert len(p.projected) > 20 and (slave < master).all() and p.share == 1.0

@@ -374,9 +374,9 @@ def test_overlap_of_coarse_blocks_is_what_it_is(dim: int, cells: str, method: st
         model = Model(scene, create(comm, scene.geometry, scene.sizes))
         contact = interfaces_of(model)
         state = fenicsx.petsc_vector(model.state)
-        contact.pair(state, max(contact.least_margin(), 2.0))
+        contact.detect(state, max(contact.least_search_radius(), 2.0))
         contact.evaluate(state, tangent=False)
         assert contact.penetration() == pytest.approx(overlap, abs=1e-12)
         # The points on the faces that meet are all there, and no others.
-        met = comm.allreduce(sum(float(p.points.weight[p.rows[p.met]].sum()) for p in contact.passes))
+        met = comm.allreduce(sum(float(p.points.weight[p.projected_points].sum()) for p in contact.surface_pairs))
         assert met == pytest.approx(2.0, rel=1e-12)

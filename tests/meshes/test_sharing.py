@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact.interfaces import Contact
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
@@ -36,7 +36,7 @@ def test_fewer_places_than_groups_and_none_at_all() -> None:
     assert len(bisected(np.zeros((0, 3)), np.zeros(0), 3)) == 0
 
 
-def paired(pairs: object, comm: MPI.Comm) -> tuple[Contact, Model]:
+def paired(pairs: object, comm: MPI.Comm) -> tuple[Interfaces, Model]:
     """Crossed half fibers, a rank each, whose contact is at one place: with one rank alone, if cells decide."""
     contact = {"pairs": pairs, "passes": 1}
     scene = pressed(3, mesh={"size": 0.3, "contact_size": 0.05}, contact=contact)
@@ -44,7 +44,7 @@ def paired(pairs: object, comm: MPI.Comm) -> tuple[Contact, Model]:
     contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.set(0.0)
-    contact.pair(state, 0.05)
+    contact.detect(state, 0.05)
     return contact, model
 
 
@@ -52,9 +52,9 @@ def paired(pairs: object, comm: MPI.Comm) -> tuple[Contact, Model]:
 @pytest.mark.parametrize("pairs", ["auto", [["upper_contact", "lower_contact"]]], ids=str)
 def test_every_rank_evaluates_its_share_of_the_points_that_are_near(pairs: object, comm: MPI.Comm) -> None:
     contact, model = paired(pairs, comm)
-    (p,) = contact.passes
-    (alone,) = paired(pairs, MPI.COMM_SELF)[0].passes
-    near = np.array(comm.allgather(len(p.rows)))
+    (p,) = contact.surface_pairs
+    (alone,) = paired(pairs, MPI.COMM_SELF)[0].surface_pairs
+    near = np.array(comm.allgather(len(p.near_points)))
     assert near.max() <= 1.5 * near.mean()
     keys = np.concatenate(comm.allgather(p.slave.key))
     assert np.array_equal(np.sort(keys), np.sort(alone.slave.key))
@@ -67,7 +67,7 @@ def test_every_rank_evaluates_its_share_of_the_points_that_are_near(pairs: objec
 def test_what_is_even_stays_where_its_cells_are(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sharing, "UNEVEN", np.inf)
     contact, model = paired([["upper_contact", "lower_contact"]], comm)
-    (p,) = contact.passes
+    (p,) = contact.surface_pairs
     assert (len(p.slave) > 0) == (comm.rank == model.bodies.bodies.index("upper") % comm.size)
 
 

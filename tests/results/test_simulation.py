@@ -350,7 +350,7 @@ def test_summary(comm: MPI.Comm, shared_tmp_path: Path) -> None:
     assert summary["peak_memory_mb"] > 10 * comm.size
     held = summary["shares"]
     assert sum(held["dofs"]) == summary["dofs"] and min(held["memory_mb"]) > 10
-    points = sum(len(p.rows) for p in finished.problem.contact.every)
+    points = sum(len(p.near_points) for p in finished.problem.contact.point_sets)
     assert sum(held["contact_points"]) == comm.allreduce(points) > 0
     assert all(len(values) == comm.size for values in held.values())
     assert {"piezomat", "dolfinx", "petsc", "gmsh", "numpy", "python", "mpi"} <= set(summary["versions"])

@@ -291,26 +291,26 @@ def test_the_voltage_does_not_scatter_with_the_mesh() -> None:
 
 def test_a_point_that_has_left_its_facet_is_looked_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Late in a solve points keep facets that they have left, and the end of the solve was taken for equilibrium."""
-    pair, settle = contact.Contact.pair, contact.Contact.settle
+    detect, set_up = contact.Interfaces.detect, contact.Interfaces.set_tolerance_and_tangent
 
     def lenient(method: Any) -> Any:
-        def changed(self: contact.Contact, *given: Any, **named: Any) -> None:
+        def changed(self: contact.Interfaces, *given: Any, **named: Any) -> None:
             method(self, *given, **named)
-            self._keep = 5.0
+            self._projection_tolerance = 5.0
 
         return changed
 
-    monkeypatch.setattr(contact.Contact, "pair", lenient(pair))
-    monkeypatch.setattr(contact.Contact, "settle", lenient(settle))
+    monkeypatch.setattr(contact.Interfaces, "detect", lenient(detect))
+    monkeypatch.setattr(contact.Interfaces, "set_tolerance_and_tangent", lenient(set_up))
     boundaries = [
         {"on": "bottom", "displacement": [0, 0], "potential": 0},
         {"on": "top", "displacement": [0.03, -0.02]},
     ]
     scene = facing_halves(1e5)
     scene = Scene(**{**scene.model_dump(exclude_unset=True), "boundaries": boundaries, "load": {}})
-    for p in run(scene, MPI.COMM_SELF).problem.contact.passes:
+    for p in run(scene, MPI.COMM_SELF).problem.contact.surface_pairs:
         pressed = p.projection.gap < 0.0
-        assert p.slave.kind.overshoot(p.xi[p.met][pressed]).max() <= 0.101
+        assert p.slave.kind.overshoot(p.master_xi[p.projected][pressed]).max() <= 0.101
 
 
 def test_no_body_stays_where_a_wild_step_threw_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -171,7 +171,7 @@ def _elastic_opening(strength: float, energy: float, penalty: Array) -> Array:
 
 
 @dataclass
-class Drag:
+class ViscousBonds:
     """Viscous resistance of bonds to opening within one part of a step: stiffness (gap - start), (m,) each.
 
     start um, stiffness MPa/um. Bonds that soften faster than the bodies around them snap; this lets them do so in small
@@ -181,11 +181,11 @@ class Drag:
     start: Array
     stiffness: Array
 
-    def __getitem__(self, rows: NDArray) -> Drag:
-        return Drag(self.start[rows], self.stiffness[rows])
+    def __getitem__(self, rows: NDArray) -> ViscousBonds:
+        return ViscousBonds(self.start[rows], self.stiffness[rows])
 
     @classmethod
-    def none(cls, points: int) -> Drag:
+    def none(cls, points: int) -> ViscousBonds:
         """Drag of points that nothing drags."""
         return cls(np.zeros(points), np.zeros(points))
 
