@@ -191,12 +191,6 @@ class Problem:
         change.array[self.model.fixed] = self.prescribed_values - self.state.array_r[self.model.fixed]
         return change
 
-    def prescribed_motion(self) -> float:
-        """How far this load level moves a node whose displacement is fixed, um: the largest component."""
-        fixed = self.model.fixed
-        change = np.abs(self.prescribed_values - self.state.array_r[fixed])[fixed % self.model.block < self.model.dim]
-        return self.maximum(float(change.max(initial=0.0)))
-
     def refresh(self) -> None:
         """Bring the model's function up to date with the state, ghosts included."""
         self._set_state(self.state)

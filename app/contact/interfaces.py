@@ -295,10 +295,6 @@ class Interfaces:
         for p in self.planes:
             p.move(factors)
 
-    def planes_move_by(self) -> float:
-        """How far planes are from where the last converged step left them, um."""
-        return max((float(np.abs(p.offset - p.last_offset).max()) for p in self.planes), default=0.0)
-
     def add_forces_of_planes(self, residual: PETSc.Vec) -> None:
         """Add the planes' share of the last evaluation to a distributed residual."""
         for terms in self._of_planes:
@@ -328,8 +324,6 @@ class Interfaces:
     def commit(self) -> None:
         """Let the history take in the last evaluation, the end of a converged step or of a part of one."""
         self.last_penetration = self.penetration()
-        for p in self.planes:
-            p.last_offset = p.offset
         for p in self.point_sets:
             near, gap = p.projected_points, p.gap
             advanced = p.history[near].advanced(gap, p.law[near].touching(gap))

@@ -41,9 +41,9 @@ class RigidPlane:
     """The points of the bodies' surfaces against one plane; what it has in common with `SurfacePair` is called alike.
 
     start, normal (d,): the plane at the beginning. offset (d,) and potential: its motion (um) and, of an electrode,
-    its potential (V) at the present load level; last_offset: at the last converged one. `rows` are the points near it
-    that face it. Of the last evaluation: `force` (uN) and `charge` (pC) that this rank's points take from the plane,
-    and `position` (m, d) of its points, and `gap` (m,), which the law sees.
+    its potential (V) at the present load level. `rows` are the points near it that face it. Of the last evaluation:
+    `force` (uN) and `charge` (pC) that this rank's points take from the plane, and `position` (m, d) of its points, and
+    `gap` (m,), which the law sees.
     """
 
     pair: int
@@ -71,7 +71,6 @@ class RigidPlane:
     surface_potential: Array | None = field(init=False, default=None)
     predicted: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
-    last_offset: Array = field(init=False)
     charge: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
@@ -80,7 +79,6 @@ class RigidPlane:
         self.viscous_bonds = ViscousBonds.none(len(self.points.weight))
         self.mark_converged()
         self.move({})
-        self.last_offset = self.offset
         self.force = np.zeros(len(self.normal))
 
     @property
@@ -91,8 +89,7 @@ class RigidPlane:
     def move(self, factors: dict[str, float]) -> None:
         """Go to a load level; without factors to the start."""
         plane = self.plane
-        share = factors.get(plane.follows, 0.0) if plane.follows is not None else 1.0
-        self.offset = share * np.asarray(plane.motion or np.zeros(len(self.start)), float)
+        self.offset = plane.motion_share(factors) * np.asarray(plane.motion or np.zeros(len(self.start)), float)
         self.potential = plane.potential
         if plane.potential is not None and plane.potential_follows is not None:
             self.potential *= factors.get(plane.potential_follows, 0.0)

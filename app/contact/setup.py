@@ -14,6 +14,7 @@ from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import Pairs, SurfacePair
 from piezomat.discretization.model import Model
+from piezomat.discretization.prescribed_motion import largest_prescribed_motion
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
@@ -231,7 +232,8 @@ def _pass(
     numbers = global_numbers(model.space, master.nodes)
     masters = GhostFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
     slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
-    rank = balanced_ranks(comm, slaves, masters, master.reference, _motion(model) + NEAR * depth, rule)
+    reach = largest_prescribed_motion(model) + NEAR * depth
+    rank = balanced_ranks(comm, slaves, masters, master.reference, reach, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = redistributed(comm, multiplicity(model.space, slave), rank) if unit else None
     slaves = slaves.redistributed(comm, rank)
@@ -246,12 +248,6 @@ def _pass(
     own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
     given = slaves, masters, frozenset(master_bodies), rule, points, law, 1.0 / keys.passes, first, size
     return SurfacePair(number, *given, depth, own_depth, keys.method == "segment")
-
-
-def _motion(model: Model) -> float:
-    """How far boundaries and planes move, um: the largest component."""
-    planes = [float(np.abs(plane.motion).max()) for plane in model.scene.planes if plane.motion is not None]
-    return max([model.largest_motion(), *planes])
 
 
 def _interface_law(

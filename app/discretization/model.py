@@ -136,14 +136,6 @@ class Model:
                 values[unknowns] = factor * value
         return values[self.fixed]
 
-    def largest_motion(self) -> float:
-        """Largest component of a displacement that the load stages prescribe, um. Collective."""
-        load = self.scene.load
-        ends = [{name: values[stage] for name, values in load.factors.items()} for stage in range(len(load.steps))]
-        moved = self.fixed % self.block < self.dim
-        here = max((float(np.abs(self.fixed_values(end)[moved]).max(initial=0.0)) for end in ends), default=0.0)
-        return self.comm.allreduce(here, op=MPI.MAX)
-
     def largest_voltage(self) -> float:
         """Largest difference of the potentials that boundaries and planes prescribe at once, V."""
         load, largest = self.scene.load, 0.0

@@ -235,6 +235,10 @@ class Plane(Keys):
                 raise SceneError(key, shown(getattr(self, key)), f"nothing without {what}")
         return self
 
+    def motion_share(self, factors: dict[str, float]) -> float:
+        """Share of `motion` at these load factors; without any factors only a plane moved from the start has moved."""
+        return factors.get(self.follows, 0.0) if self.follows is not None else 1.0
+
 
 class Adhesion(Keys):
     """[contact.adhesion]: tension that the contact carries; absent: none."""

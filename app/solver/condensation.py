@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.discretization.prescribed_motion import largest_prescribed_motion
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.ghost_scatter import GhostScatter
@@ -40,9 +41,8 @@ class Condensation:
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.block
         self.candidates = np.zeros(0, np.int64)
-        self._ahead = problem.contact.candidate_distance = AHEAD * (
-            problem.model.largest_motion() or problem.contact.least_search_radius()
-        )
+        motion = largest_prescribed_motion(problem.model) or problem.contact.least_search_radius()
+        self._ahead = problem.contact.candidate_distance = AHEAD * motion
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._of = -1
         self._factors = SchurFactors()

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.uzawa import augment
+from piezomat.discretization.prescribed_motion import Factors, prescribed_motion
 from piezomat.forms.contact.laws.interface import stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
@@ -87,7 +88,7 @@ class Stepper:
         self.size = 1.0  # share of a step that is tried at once; kept from step to step
         self.last_motion = 0.0  # how far a node moved in the last solve, um
 
-    def advance(self, step: Step, committed: Callable[[dict[str, float]], None]) -> StepReport:
+    def advance(self, step: Step, committed: Callable[[Factors], None]) -> StepReport:
         """Take the step, in parts if need be; `committed(factors)` is called after each part that converged.
 
         Raises SolveError with the reason, the state being that of the last part that converged.
@@ -96,8 +97,9 @@ class Stepper:
         done = 0.0
         while done < 1.0:
             target = min(done + self.size, 1.0)
+            levels = step.factors(done) if step.number > 1 or done else None, step.factors(target)
             try:
-                self._part(step.factors(target), committed, report)
+                self._part(*levels, committed, report)
             except AugmentationError:
                 raise
             except SolveError as error:
@@ -107,28 +109,33 @@ class Stepper:
                     self._cut(step, tried, error)
                     continue
                 log.info("step %d: bonds snap: %s", step.number, error)
-                self._snap(step.factors(target), committed, report)
+                self._snap(*levels, committed, report)
             done = target
             self.size = min(1.0, 2.0 * self.size)
         return report
 
     def _part(
         self,
-        factors: dict[str, float],
-        committed: Callable[[dict[str, float]], None],
+        before: Factors | None,
+        factors: Factors,
+        committed: Callable[[Factors], None],
         report: StepReport,
         drag: float | None = None,
     ) -> None:
-        """Go from the last converged state to a load level; SolveError, the state being as it was, if that fails."""
+        """Go from the last converged state to a load level; SolveError, the state being as it was, if that fails.
+
+        before: load level of the last converged state, None for the undeformed bodies.
+        """
         problem = self.problem
         problem.set_loads(factors)
-        margin = self.margin()
+        prescribed = prescribed_motion(problem.model, factors, before)
+        margin = self.margin(prescribed)
         problem.begin_step(margin)
         if drag is not None:
             problem.residual(problem.state, problem.state.duplicate())
             problem.contact.start_viscous_regularization(drag)
         try:
-            self._solve(margin, report)
+            self._solve(margin, prescribed, report)
         except SolveError:
             problem.converged_state.copy(problem.state)
             if problem.contact is not None:
@@ -140,11 +147,11 @@ class Stepper:
             problem.contact.commit()
         committed(factors)
 
-    def _solve(self, margin: float, report: StepReport) -> None:
+    def _solve(self, margin: float, prescribed: float, report: StepReport) -> None:
         """Bring the problem to equilibrium, again after each step of augmentation until gap and jump are small."""
         problem, keys = self.problem, self.problem.model.scene.contact
         for number in range(AUGMENTATIONS + 1):
-            solve = self.newton.solve(margin)
+            solve = self.newton.solve(margin, prescribed)
             report.newton += solve.iterations
             report.krylov += solve.krylov
             report.solves.append(solve)
@@ -193,7 +200,7 @@ class Stepper:
         )
 
     def _snap(
-        self, factors: dict[str, float], committed: Callable[[dict[str, float]], None], report: StepReport
+        self, before: Factors | None, factors: Factors, committed: Callable[[Factors], None], report: StepReport
     ) -> None:
         """Reach a load level where bonds snap, so that there is no equilibrium near the last one.
 
@@ -204,7 +211,7 @@ class Stepper:
             for _ in range(SNAP_PARTS):
                 free = level == SNAP_LEVELS
                 try:
-                    self._part(factors, committed, report, 0.0 if free else DRAG * SNAP_FALL**level)
+                    self._part(before, factors, committed, report, 0.0 if free else DRAG * SNAP_FALL**level)
                 except SolveError as error:
                     level, wait = level - 1, SNAP_WAIT
                     if level < -SNAP_LEVELS:
@@ -212,6 +219,7 @@ class Stepper:
                     continue
                 if free:
                     return
+                before = factors
                 level, wait = level + (wait == 0), max(wait - 1, 0)
         finally:
             self.problem.contact.end_viscous_regularization()
@@ -223,9 +231,7 @@ class Stepper:
         problem.begin_step(problem.contact.least_search_radius() if problem.contact is not None else 0.0)
         problem.residual(problem.state, problem.state.duplicate())
 
-    def margin(self) -> float:
+    def margin(self, prescribed: float) -> float:
         """How far the contact search must look in the coming solve, um: what moves, and what is already there."""
-        problem = self.problem
-        if problem.contact is None:
-            return 0.0
-        return problem.contact.least_search_radius() + 4.0 * max(problem.prescribed_motion(), self.last_motion)
+        contact = self.problem.contact
+        return 0.0 if contact is None else contact.least_search_radius() + 4.0 * max(prescribed, self.last_motion)

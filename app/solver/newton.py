@@ -90,14 +90,18 @@ class Newton:
         self.linear.close()
         self.snes.destroy()
 
-    def solve(self, margin: float) -> NewtonReport:
+    def solve(self, margin: float, prescribed: float) -> NewtonReport:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
 
-        margin (um): how far the contact search looked when the step's surfaces were paired. A load on a part that
-        only contact can hold would throw it away before it is held: its springs are then made strong at first.
+        margin (um): how far the contact search looked when the step's surfaces were paired. prescribed (um): how far
+        boundaries and planes move in the step. A load on a part that only contact can hold would throw it away before
+        it is held: its springs are then made strong at first.
         """
         report = self._report = NewtonReport()
-        (self._springs.solve if self.problem.is_stabilized else self._solve)(margin, report)
+        if self.problem.is_stabilized:
+            self._springs.solve(margin, prescribed, report)
+        else:
+            self._solve(margin, report)
         return report
 
     def _solve(self, margin: float, report: NewtonReport) -> None:

@@ -37,11 +37,14 @@ class Springs:
         if problem.model.unconstrained[:, 0].sum() >= MANY and not problem.has_loads:
             problem.set_stabilization(STRONGER)
 
-    def solve(self, margin: float, report: NewtonReport) -> None:
-        """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails."""
+    def solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
+        """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
+
+        margin: see `Newton.solve`. prescribed (um): how far boundaries and planes move in the step.
+        """
         problem = self.problem
         try:
-            self._solve(margin, report)
+            self._solve(margin, prescribed, report)
             if problem.stabilization_load_share() <= CARRIED:
                 return
         except SolveError as error:
@@ -51,14 +54,13 @@ class Springs:
         problem.converged_state.copy(problem.state)
         problem.pair(margin)
         if problem.has_loads:
-            self._let_down(margin, report)
+            self._let_down(margin, prescribed, report)
         else:
             problem.set_stabilization(STRONGER if problem.stabilization_factor == 1.0 else 1.0)
-            self._solve(margin, report)
+            self._solve(margin, prescribed, report)
 
-    def _solve(self, margin: float, report: NewtonReport) -> None:
+    def _solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
         problem = self.problem
-        prescribed = problem.prescribed_motion()
         self._equilibrium(margin, report)
         if self._flew(prescribed):
             raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
@@ -67,14 +69,13 @@ class Springs:
             if problem.stabilization_work() > WORK * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
-    def _let_down(self, margin: float, report: NewtonReport) -> None:
+    def _let_down(self, margin: float, prescribed: float, report: NewtonReport) -> None:
         """Solve with strong springs of floating parts and ever weaker ones, so that no part leaps through another."""
         problem = self.problem
         here, last, fall = problem.state.copy(), STRONGEST * FALL, FALL
         try:
             while last > 1.0:
                 factor = max(last / fall, 1.0)
-                prescribed = problem.prescribed_motion()
                 problem.set_stabilization(factor)
                 try:
                     self._equilibrium(margin, report)

@@ -376,7 +376,7 @@ def test_what_has_failed_is_not_tried_again_as_it_is(monkeypatch: pytest.MonkeyP
     """Half of a share larger than what is left of the step may still be all that is left."""
     done, tried = [0.0], []
 
-    def part(stepper: Stepper, factors: dict[str, float], committed: Any, report: StepReport) -> None:
+    def part(stepper: Stepper, before: Any, factors: dict[str, float], committed: Any, report: StepReport) -> None:
         tried.append((done[-1], factors["press"]))
         if factors["press"] - done[-1] > (0.6 if not done[-1] else 0.3):
             raise SolveError("too far")
@@ -393,12 +393,12 @@ def test_the_rest_of_a_step_snaps_as_a_part_of_its_size_would(monkeypatch: pytes
     """Parts grow from step to step and need not divide one: what is left at its end is small enough to snap."""
     snapped: list[float] = []
 
-    def part(stepper: Stepper, factors: dict[str, float], committed: Any, report: StepReport) -> None:
+    def part(stepper: Stepper, before: Any, factors: dict[str, float], committed: Any, report: StepReport) -> None:
         if factors["press"] == 1.0:
             raise SolveError("bonds snap")
         committed(factors)
 
-    def snap(stepper: Stepper, factors: dict[str, float], committed: Any, report: StepReport) -> None:
+    def snap(stepper: Stepper, before: Any, factors: dict[str, float], committed: Any, report: StepReport) -> None:
         snapped.append(factors["press"])
 
     monkeypatch.setattr(Stepper, "_part", part)

@@ -13,6 +13,7 @@ from piezomat.simulation import NotConverged, run
 from piezomat.solver import newton as solver
 from piezomat.solver import stabilization as springs
 from piezomat.solver.outcome import NewtonReport, SolveError
+from tests.scenes import press
 
 
 def block() -> Scene:
@@ -31,6 +32,32 @@ def block() -> Scene:
         load={"steps": [3], "factors": {"press": [1.0]}},
         output={"fields": "none", "picture": False},
     )
+
+
+def carried(motion: float) -> Scene:
+    """A disc 1 um thick that two planes hold by 0.01 um and carry along by `motion` (um), in one step."""
+    return press(
+        {"shape": "fiber_array", "columns": 1, "rows": 1, "radius": 0.5},
+        mesh={"size": 0.15},
+        materials={"soft": {"young": 1000.0, "poisson": 0.3}},
+        bodies={"*": "soft"},
+        planes=[
+            {"name": "floor", "point": "bottom", "motion": [0, motion], "follows": "lift"},
+            {"name": "lid", "point": "top", "motion": [0, motion - 0.01], "follows": "lift"},
+        ],
+        load={"factors": {"lift": [1.0]}},
+    )
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("motion", [0.6, 1.0])
+def test_a_disc_carried_by_planes_has_not_flown(motion: float, comm: MPI.Comm) -> None:
+    """The motion of planes was left out: carried by more than half its thickness, it counted as flown."""
+    (row,) = run(carried(motion), comm).history
+    (nearby,) = run(carried(0.1), comm).history
+    assert row["cutbacks"] == 0 and row["newton"] <= 6
+    # Weak springs resist the way.
+    assert row["force_y@lid"] == pytest.approx(nearby["force_y@lid"], rel=1e-4)
 
 
 @pytest.fixture
