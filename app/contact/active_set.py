@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from piezomat.contact.nodal_state import NodalState
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import augmented_response
-from piezomat.forms.contact.laws.interface import Response
+from piezomat.forms.contact.laws.response import Response
 from piezomat.meshes import parallel
 
 if TYPE_CHECKING:

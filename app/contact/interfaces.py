@@ -18,7 +18,7 @@ from piezomat.contact.surface_pair import LARGEST_SHAPE, Pairs, SurfacePair
 from piezomat.contact.terms import ContactTerms, no_terms, plane_terms, surface_terms
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import corner_kind
-from piezomat.forms.contact.laws.interface import ViscousBonds
+from piezomat.forms.contact.laws.viscous import ViscousBonds
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.global_search import CandidatePairs, share_facets
 from piezomat.meshes.contact.local_search import near_points

@@ -18,7 +18,9 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import Multipliers
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.integrals import SlavePoints
-from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response, ViscousBonds
+from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.viscous import ViscousBonds
 from piezomat.forms.contact.smoothing import rounded, spread, to_corners
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.meshes.contact.local_search import FACING

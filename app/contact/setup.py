@@ -19,8 +19,10 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
-from piezomat.forms.contact.laws.interface import Adhesion, InterfaceLaw, stable_electric_range
+from piezomat.forms.contact.laws.cohesive import CohesiveLaw
+from piezomat.forms.contact.laws.interface import InterfaceLaw, stable_electric_range
 from piezomat.forms.contact.laws.lennard_jones import LennardJones
+from piezomat.forms.contact.laws.response import AdhesionLaw
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
@@ -270,7 +272,7 @@ def _interface_law(
     return InterfaceLaw(penalty, adhesion, electric, fade)
 
 
-def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:
+def _adhesion(model: Model, penalty: Array) -> AdhesionLaw | None:
     keys = model.scene.contact.adhesion
     if keys is None:
         return None
@@ -289,13 +291,13 @@ def _adhesion(model: Model, penalty: Array) -> Adhesion | LennardJones | None:
                 "contact.adhesion.range", f"{keys.range:g}", f"more than strength / normal_penalty = {longest:g} um"
             )
         # A range is the same for all points, the energy up to it is not: it depends on the penalty.
-        return Adhesion.cutoff_at(keys.strength, keys.range, penalty, keys.starts == "always")
+        return CohesiveLaw.cutoff_at(keys.strength, keys.range, penalty, keys.starts == "always")
     if energy <= 0.5 * keys.strength * longest:
         allowed = (
             f"more than strength^2 / (2 normal_penalty) = {0.5 * keys.strength * longest:g} pJ/um2, or a larger penalty"
         )
         raise SceneError("contact.adhesion.energy", f"{energy:g}", allowed)
-    law = {"bilinear": Adhesion.bilinear, "cutoff": Adhesion.cutoff}[keys.law]
+    law = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[keys.law]
     return law(keys.strength, energy, penalty, keys.starts == "always")
 
 

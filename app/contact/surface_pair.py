@@ -12,7 +12,9 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import Multipliers
 from piezomat.forms.contact.gap import Projection, project
 from piezomat.forms.contact.integrals import SlavePoints, first_changes
-from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response, ViscousBonds
+from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.viscous import ViscousBonds
 from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
 from piezomat.forms.contact.smoothing import rounded, spread
 from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule

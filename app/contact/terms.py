@@ -13,7 +13,7 @@ from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.integrals import contact_vectors
-from piezomat.forms.contact.laws.interface import Response
+from piezomat.forms.contact.laws.response import Response
 
 
 @dataclass

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind
-from piezomat.forms.contact.laws.interface import History, InterfaceLaw, Response
+from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.response import History, Response
 
 
 @dataclass

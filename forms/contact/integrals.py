@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import Projection, variations
-from piezomat.forms.contact.laws.interface import Response
+from piezomat.forms.contact.laws.response import Response
 from piezomat.forms.contact.smoothing import to_corners
 
 

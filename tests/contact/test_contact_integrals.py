@@ -19,7 +19,9 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import CURVED_LINE, facet_kind
 from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, nodal_points, quadrature_points
-from piezomat.forms.contact.laws.interface import Adhesion, History, InterfaceLaw, Response
+from piezomat.forms.contact.laws.cohesive import CohesiveLaw
+from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.response import History, Response
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.surface import node_coordinates
 from piezomat.scene.scene import Scene
@@ -134,7 +136,7 @@ class Batch(PairBatch):
         super().__init__(name, rng, 40, 0.1, electric)
         count = len(self.gap)
         penalty = rng.uniform(50.0, 100.0, count)
-        bond = Adhesion.bilinear(2.0, 0.1, penalty) if adhesion else None
+        bond = CohesiveLaw.bilinear(2.0, 0.1, penalty) if adhesion else None
         electric_terms = (rng.uniform(1.0, 2.0, count), np.full(count, 0.08)) if electric else ()
         self.law = InterfaceLaw(penalty, bond, *electric_terms)
         self.history = History(rng.uniform(size=count) < 0.7, np.zeros(count))

@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.interface import (
-    CUTOFF_DROP,
-    ELECTRIC_RELEASE,
-    Adhesion,
-    History,
-    InterfaceLaw,
-    Response,
-)
+from piezomat.forms.contact.laws.cohesive import CUTOFF_DROP, ELECTRIC_RELEASE, CohesiveLaw
+from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.response import History, Response
 
 STRENGTH, ENERGY, PENALTY, RHO, FADE = 5.0, 0.05, 2000.0, 0.3, 0.004
 ELASTIC = STRENGTH / PENALTY  # 0.0025 um
@@ -28,7 +23,9 @@ def interface(kind: str, always: bool = False, points: int = 1, electric: bool =
     penalty = np.full(points, PENALTY)
     adhesion = None
     if kind != "unilateral":
-        adhesion = {"bilinear": Adhesion.bilinear, "cutoff": Adhesion.cutoff}[kind](STRENGTH, ENERGY, penalty, always)
+        adhesion = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[kind](
+            STRENGTH, ENERGY, penalty, always
+        )
     if not electric:
         return InterfaceLaw(penalty, adhesion)
     return InterfaceLaw(penalty, adhesion, np.full(points, RHO), np.full(points, FADE))
@@ -244,7 +241,7 @@ def test_shapes_of_the_laws() -> None:
 
 def test_cutoff_by_range() -> None:
     penalty = np.array([PENALTY, 2.0 * PENALTY])
-    a = Adhesion.cutoff_at(STRENGTH, 0.01, penalty)
+    a = CohesiveLaw.cutoff_at(STRENGTH, 0.01, penalty)
     np.testing.assert_allclose(0.5 * (a.plateau + a.final), 0.01, rtol=1e-14)
     # A triangle up to the strength, then a plateau to the cut: the range is the same for all points, the energy not.
     np.testing.assert_allclose(a.energy, STRENGTH * (0.01 - 0.5 * STRENGTH / penalty), rtol=1e-13)
@@ -422,7 +419,7 @@ def test_nothing_answers_beyond_the_reach(kind: str, always: bool) -> None:
 def test_points_of_different_penalties_are_independent(rng: np.random.Generator) -> None:
     """A law over many points answers at each as its own law there, through any selection of rows."""
     penalty = rng.uniform(1000.0, 4000.0, 30)
-    adhesion = Adhesion.bilinear(STRENGTH, ENERGY, penalty)
+    adhesion = CohesiveLaw.bilinear(STRENGTH, ENERGY, penalty)
     law = InterfaceLaw(penalty, adhesion, rng.uniform(0.1, 1.0, 30), rng.uniform(1.0, 2.0, 30) * FADE)
     gap, jump = rng.uniform(-0.01, FINAL, 30), rng.standard_normal(30)
     history = History(rng.uniform(size=30) < 0.7, rng.uniform(0.0, FINAL, 30))
@@ -435,7 +432,7 @@ def test_points_of_different_penalties_are_independent(rng: np.random.Generator)
     for i in range(5):
         alone = InterfaceLaw(
             penalty[i : i + 1],
-            Adhesion.bilinear(STRENGTH, ENERGY, penalty[i : i + 1]),
+            CohesiveLaw.bilinear(STRENGTH, ENERGY, penalty[i : i + 1]),
             law.electric_penalty[i : i + 1],
             law.fade[i : i + 1],
         ).respond(gap[i : i + 1], jump[i : i + 1], history[[i]])
@@ -451,8 +448,8 @@ def test_no_points_are_no_trouble() -> None:
         assert law.interaction_range == 0.0
 
 
-@pytest.mark.parametrize("make", [Adhesion.bilinear, Adhesion.cutoff])
-def test_too_soft_a_penalty_is_an_error(make: Callable[..., Adhesion]) -> None:
+@pytest.mark.parametrize("make", [CohesiveLaw.bilinear, CohesiveLaw.cutoff])
+def test_too_soft_a_penalty_is_an_error(make: Callable[..., CohesiveLaw]) -> None:
     soft = STRENGTH**2 / (2.0 * ENERGY)
     make(STRENGTH, ENERGY, np.array([1.01 * soft]))
     with pytest.raises(ValueError, match="raise normal_penalty or the energy"):

@@ -7,8 +7,9 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.interface import History, InterfaceLaw
+from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.lennard_jones import CUTOFF_START, LennardJones
+from piezomat.forms.contact.laws.response import History
 from piezomat.scene.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver.load_steps import SNAP_CUTBACKS
@@ -39,10 +40,10 @@ def test_rest_strongest_pull_and_work_are_the_closed_forms() -> None:
     assert pytest.approx(EXACT.equilibrium, rel=1e-13) == LAW.equilibrium_gap
     assert pytest.approx(EXACT.pull, rel=1e-13) == STRENGTH
     assert traction(np.array([EXACT.pull_gap]))[0] == pytest.approx(STRENGTH, rel=1e-13)
-    gap = np.linspace(LAW.near[0], float(LAW.final[0]), 200_001)
+    gap = np.linspace(LAW.near[0], LAW.interaction_range, 200_001)
     assert traction(gap).max() == pytest.approx(STRENGTH, rel=1e-6)
     # The energy is the work up to the end of the tail; without an end it would be 1.1 % more.
-    opening = np.linspace(LAW.equilibrium_gap, float(LAW.final[0]), 400_001)
+    opening = np.linspace(LAW.equilibrium_gap, LAW.interaction_range, 400_001)
     values = traction(opening)
     assert (values[:-1] + values[1:]).sum() * np.diff(opening)[0] / 2 == pytest.approx(ENERGY, rel=1e-6)
     assert EXACT.work == pytest.approx(ENERGY, rel=0.012)

@@ -1,37 +1,33 @@
 """Attraction and repulsion of two surfaces whose molecules attract each other by Lennard-Jones forces.
 
-Half spaces at a distance g pull each other with T(g) = A/(2 pi r0^3) [(r0/g)^3/3 - (r0/g)^9/45] per area (Yu and
-Polycarpou, J. Colloid Interface Sci. 278 (2004) 428-435). It is followed exactly between two gaps: below `near`,
-where it has become as stiff as the normal penalty, that penalty takes over, so that no gap is forbidden; from
-`CUTOFF_START` r0 on a cubic takes it to zero at twice that gap, so that the search ends there and changes no result.
+Half spaces at a distance g attract each other with T(g) = A/(2 pi r0^3) [(r0/g)^3/3 - (r0/g)^9/45] per area (Yu and
+Polycarpou, J. Colloid Interface Sci. 278 (2004) 428-435). The law is exact between two gaps. Below `near`, where it is
+as stiff as the normal penalty, that penalty replaces it, so that the traction is defined at every gap. From
+`CUTOFF_START` r0 on a cubic takes it to zero at twice that gap, so that the interaction range is finite.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Booleans
+from piezomat.forms.contact.laws.response import History, Response
 
-if TYPE_CHECKING:
-    from piezomat.forms.contact.laws.interface import History, Response
-
-
-CUTOFF_START = 5.0  # gap, in r0, from which the traction (0.5 % of the strongest) goes to zero
+CUTOFF_START = 5.0  # gap, in r0, from which the traction (0.5 % of the peak) goes to zero
 EQUILIBRIUM = 15.0 ** (-1 / 6)  # gap without traction, in r0
-PEAK = 5.0 ** (-1 / 6)  # gap of the strongest pull, in r0
-NEWTON_ITERATIONS = 60  # of Newton's method from above, on a convex function
+PEAK = 5.0 ** (-1 / 6)  # gap of the largest traction, in r0
+NEWTON_ITERATIONS = 60  # from above, on a convex function
 
 
 @dataclass(frozen=True)
 class LennardJones:
-    """The law between surfaces of given strength and energy; nothing is remembered, nothing dissipated.
+    """Reversible law between surfaces of given strength and energy: without history and without dissipation.
 
-    scale A/(2 pi r0^3) MPa, distance r0 um. penalty (m,) MPa/um takes over below the gap `near` (m,), um.
+    scale MPa, A/(2 pi r0^3); distance um, r0; penalty (m,) MPa/um, in effect below the gap `near` (m,), um.
     """
 
     scale: float
@@ -39,13 +35,13 @@ class LennardJones:
     penalty: Array
     near: Array
 
-    always = True  # attracts whatever comes near
+    always = True  # surfaces attract each other before they have touched
 
     @classmethod
     def of(cls, strength: float, energy: float, penalty: Array) -> LennardJones:
-        """The law whose strongest pull is `strength` (MPa) and whose work from rest to infinity is `energy` (pJ/um2).
+        """Law with this largest traction (MPa) and this work from the equilibrium gap to infinity (pJ/um2).
 
-        ValueError if the penalty is softer than the law is at rest.
+        Raises ValueError if the penalty is softer than the law at the equilibrium gap.
         """
         scale = strength / _unit(np.array([PEAK]))[0][0]
         distance = energy / (scale * _unit(np.array([EQUILIBRIUM]))[2][0])
@@ -64,45 +60,46 @@ class LennardJones:
 
     @property
     def hamaker(self) -> float:
-        """The constant A, pJ."""
+        """Hamaker constant A, pJ."""
         return 2.0 * np.pi * self.distance**3 * self.scale
 
     @property
     def equilibrium_gap(self) -> float:
-        """Gap at which surfaces rest without a force, um."""
+        """Gap without traction, um."""
         return EQUILIBRIUM * self.distance
 
     @property
-    def final(self) -> Array:
-        """Gap beyond which nothing pulls, (m,) um."""
-        return np.full_like(self.penalty, 2.0 * CUTOFF_START * self.distance)
+    def interaction_range(self) -> float:
+        """Gap from which the traction is zero, um."""
+        return 2.0 * CUTOFF_START * self.distance
 
     @property
     def steepness(self) -> Array:
-        """How fast the traction falls at most, (m,) MPa/um: where (r0/g)^6 = 2."""
+        """Largest rate (m,) at which the traction falls with the gap, MPa/um: that at (r0/g)^6 = 2."""
         steepest = -_unit(np.array([2.0 ** (-1 / 6)]))[1][0]
         return np.full_like(self.penalty, steepest * self.scale / self.distance)
 
-    def bonded(self, history: History) -> NDArray[np.bool_]:
-        """No point: what attracts again whenever it comes near is no bond."""
+    def bonded(self, history: History) -> Booleans:
+        """No point (m,): the attraction is reversible."""
         return np.zeros(len(history.touched), bool)
 
-    def touching(self, gap: Array) -> NDArray[np.bool_]:
-        """No point: there is nothing to remember."""
+    def touching(self, gap: Array) -> Booleans:
+        """No point (m,): the law has no history."""
         return np.zeros(len(gap), bool)
 
     def on_loss_of_contact(self, history: History) -> History:
-        """History of points that no longer meet the other surface: as it was."""
+        """The same history."""
         return history
 
     def electric_share(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
-        """Share of the electric contact that bonds keep, with slope and curvature: none."""
+        """Share (m,) of the electric contact that bonds maintain, with its derivatives: zero."""
         return (np.zeros_like(gap),) * 3
 
     def contribute(self, gap: Array, history: History, response: Response) -> None:
-        """Put the law's own slope, curvature and energies, pJ/um2, in the place of the penalty's.
+        """Replace the penalty's slope, curvature and energies by the law's own.
 
-        Stored energy is zero at infinite distance: what is below that of rest counts as contact, else as adhesion.
+        Energies are zero at infinite distance. Below the equilibrium gap the energy at that gap is adhesion and the
+        rest is contact; above it all is adhesion.
         """
         traction, slope, energy = self._at(np.maximum(gap, self.near))
         deeper = np.minimum(gap - self.near, 0.0)
