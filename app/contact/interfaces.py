@@ -99,7 +99,7 @@ class Interfaces:
         needed = []
         for p in self.surface_pairs:
             slave, master = (position[np.searchsorted(nodes, facets.nodes)] for facets in (p.slave, p.master))
-            p.ghost_facets = share_facets(self.comm, slave, p.slave.clump, p.master, master, margin, p.rule)
+            p.ghost_facets = share_facets(self.comm, slave, p.slave.component, p.master, master, margin, p.rule)
             needed += [p.slave.nodes, p.ghost_facets.nodes]
         # All planes meet the same surface.
         needed += [p.slave.nodes for p in self.planes[:1]]
@@ -137,26 +137,28 @@ class Interfaces:
         return nodes, exchange, exchange.gather(self._coordinates).reshape(-1, self.block_size)[:, : self.dim]
 
     def _detect_near_points(self, p: SurfacePair, position: Array, margin: float) -> None:
-        """Find the points near facets that they may meet, and which clumps each of them is near."""
+        """Find the points near facets that they may meet, and which components each of them is near."""
         points = np.einsum("mk,mkd->md", p.points.shape, p.slave_at(position, p.points.facet))
         facets = p.master_at(position)
-        boxed = CandidatePairs.near(points, p.slave.clump[p.points.facet], facets, p.ghost_facets.clump, margin, p.rule)
+        boxed = CandidatePairs.near(
+            points, p.slave.component[p.points.facet], facets, p.ghost_facets.component, margin, p.rule
+        )
         near, p.self_candidates = [], []
-        for rows, clump, same_part in zip(boxed.points, boxed.facets, boxed.same_part, strict=True):
+        for rows, targets, same_part in zip(boxed.points, boxed.facets, boxed.same_part, strict=True):
             rows = rows[p.covered[rows]]
             slaves = p.points.facet[rows]
             p.self_candidates.append(
-                p.near_self_candidates(position, np.unique(slaves), clump, margin) if same_part else None
+                p.near_self_candidates(position, np.unique(slaves), targets, margin) if same_part else None
             )
             close = (
                 p.self_candidates[-1].count(slaves) > 0
                 if same_part
-                else near_points(points[rows], facets[clump], margin)
+                else near_points(points[rows], facets[targets], margin)
             )
             near.append(rows[close])
         p.near_points = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
         p.candidate_pairs = CandidatePairs(
-            boxed.clump, boxed.same_part, boxed.facets, [np.searchsorted(p.near_points, rows) for rows in near]
+            boxed.component, boxed.same_part, boxed.facets, [np.searchsorted(p.near_points, rows) for rows in near]
         )
 
     def set_tolerance_and_tangent(self, iteration: int, residual: float, *, loose: bool) -> None:
@@ -372,13 +374,15 @@ class Interfaces:
         deepest = 0.0
         for p in self.surface_pairs:
             centers, facets = position[p.slave_nodes].mean(axis=1), p.master_at(position)
-            for near, clump, same_part in zip(
+            for near, targets, same_part in zip(
                 p.candidate_pairs.points, p.candidate_pairs.facets, p.candidate_pairs.same_part, strict=True
             ):
                 if same_part:
                     continue  # a surface lies on its own body
                 slaves = np.unique(p.points.facet[p.near_points[near]])
-                depth = deepest_overlap(p.slave.kind, centers[slaves], facets[clump], p.ghost_facets.orientation[clump])
+                depth = deepest_overlap(
+                    p.slave.kind, centers[slaves], facets[targets], p.ghost_facets.orientation[targets]
+                )
                 deepest = max(deepest, depth)
         return self.comm.allreduce(deepest, op=MPI.MAX)
 
@@ -415,7 +419,7 @@ class Interfaces:
         return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
 
     def gather(self, vector: PETSc.Vec) -> Array:
-        """Values (n, components) of a distributed vector at the nodes of all passes that this rank sees."""
+        """Values (n, block_size) of a distributed vector at the nodes of all passes that this rank sees."""
         return self._exchange.gather(vector).reshape(-1, self.block_size)
 
     def _add(self, nodes: NDArray[np.int64], vectors: Array, result: PETSc.Vec) -> None:

@@ -11,7 +11,7 @@ from piezomat.forms.arrays import Array
 class NodalState:
     """The state that contact is evaluated at: position (n, d) of the nodes, um, and their potential unknowns (n,).
 
-    These times `scale` are potentials, V; both are None where there are none. components: unknowns of a node. pulls:
+    These times `scale` are potentials, V; both are None where there are none. block_size: unknowns of a node. pulls:
     whether the electric contact pulls on the surfaces; exact: whether the tangent is; for both see
     `InterfaceLaw.respond`.
     """

@@ -186,7 +186,7 @@ class RigidPlane:
         return facet[active], nodes, vectors, matrices
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
-        """Changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
+        """Changes (2, m), um and V, of gaps and jumps with those (n, block_size) of the nodes' unknowns."""
         facet, kind, d = self.points.facet[self.near_points], self.slave.kind, len(self.normal)
         shape, nodes, offsets = self.points.shape[self.near_points], self.slave_nodes[facet], self.slave.rounding[facet]
         before, after = (rounded(kind, x[nodes], offsets) for x in (at.position, at.position + change[:, :d]))

@@ -78,7 +78,7 @@ def _look_for(p: SurfacePair, points: Array, position: Array, lost: NDArray[np.b
     )
     p.master_facet[lost], p.distance_bound[lost] = -1, -np.inf
     least = np.full(len(p.near_points), np.inf)  # gap of the partner
-    away = np.full(len(p.near_points), np.inf)  # least distance of the partner's clump, plus approach
+    away = np.full(len(p.near_points), np.inf)  # least distance of the partner's component, plus approach
     clear = np.full(len(p.near_points), np.inf)  # and of all others
     for near, facets, own in zip(p.candidate_pairs.points, p.candidate_pairs.facets, p.self_candidates, strict=True):
         tried = near[lost[near]]

@@ -73,8 +73,10 @@ def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:
                 surfaces[name] = _surface(model, name, f"contact.pairs[{number}]")
         directions = [pair, pair[::-1]][: keys.passes]
         for first, (slave, master) in zip((True, False), directions, strict=False):
-            clumps = [np.full(len(surfaces[name]), clump) for name, clump in ((slave, SLAVE), (master, MASTER))]
-            passes.append(_pass(model, number, surfaces[slave], surfaces[master], *clumps, ONE_TO_ONE, first))
+            components = [
+                np.full(len(surfaces[name]), component) for name, component in ((slave, SLAVE), (master, MASTER))
+            ]
+            passes.append(_pass(model, number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first))
     names = tuple("-".join(pair) for pair in keys.pairs)
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)))
 
@@ -90,21 +92,21 @@ def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair]
     outside = fenicsx.exterior_facets(model.mesh)
     whole = surface(model.space, "outside", outside, bodies.order)
     kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
-    surfaces, clumps = {}, {}
+    surfaces, components = {}, {}
     for kind in dict.fromkeys(kinds):
         of_kind = np.array([k == kind for k in kinds])[bodies.cell_body[whole.cells]]
         surfaces[kind] = _facets(model, "bodies", outside[of_kind])
         cells = surfaces[kind].cells
-        clumps[kind] = rule.clump(bodies.cell_body[cells], bodies.cell_part[cells])
-    clumps_of_bodies = {kind: [] for kind in surfaces}
+        components[kind] = rule.component(bodies.cell_body[cells], bodies.cell_part[cells])
+    components_of_bodies = {kind: [] for kind in surfaces}
     for part, members in enumerate(bodies.part_bodies):
         for body in members:
-            clumps_of_bodies[kinds[body]].append(int(rule.clump(body, part)))
+            components_of_bodies[kinds[body]].append(int(rule.component(body, part)))
     passes = []
     for slave, master in product(surfaces, repeat=2):
-        every = [np.array(clumps_of_bodies[kind]) for kind in (slave, master)]
-        if any(rule.allows(clump, every[1]).any() for clump in every[0]):
-            given = surfaces[slave], surfaces[master], clumps[slave], clumps[master]
+        every = [np.array(components_of_bodies[kind]) for kind in (slave, master)]
+        if any(rule.allows(component, every[1]).any() for component in every[0]):
+            given = surfaces[slave], surfaces[master], components[slave], components[master]
             passes.append(_pass(model, len(passes), *given, rule, True, thickness))
     if not passes and not model.scene.planes:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
@@ -222,8 +224,8 @@ def _pass(
     number: int,
     slave: Surface,
     master: Surface,
-    slave_clump: Integers,
-    master_clump: Integers,
+    slave_component: Integers,
+    master_component: Integers,
     rule: PairingRule,
     first: bool,
     thickness: Array | None = None,
@@ -232,10 +234,10 @@ def _pass(
     slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
     depth = _depth(model, slave, master)
     numbers = global_numbers(model.space, master.nodes)
-    masters = GhostFacets(numbers, master.orientation, master.key, master_clump, master.rounding)
-    slaves = SlaveFacets.of(model.space, slave, slave_clump, model.bodies.cell_body[slave.cells])
-    reach = largest_prescribed_motion(model) + NEAR * depth
-    rank = balanced_ranks(comm, slaves, masters, master.reference, reach, rule)
+    masters = GhostFacets(numbers, master.orientation, master.key, master_component, master.rounding)
+    slaves = SlaveFacets.of(model.space, slave, slave_component, model.bodies.cell_body[slave.cells])
+    radius = largest_prescribed_motion(model) + NEAR * depth
+    rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = redistributed(comm, multiplicity(model.space, slave), rank) if unit else None
     slaves = slaves.redistributed(comm, rank)

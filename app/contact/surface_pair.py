@@ -57,7 +57,7 @@ class SurfacePair:
     """One pass: points of the slave surface, each against the facets of the master surface that it may meet.
 
     A pass is of one pair of surfaces, or of all bodies of one kind against all of another: `rule` then says by
-    their clumps which facets may meet. `slave` are those whose points this rank evaluates, `master` those whose
+    their components which facets may meet. `slave` are those whose points this rank evaluates, `master` those whose
     cells it holds, `first` whether the slave is the first of its pair. `share` is the pass's share of the contact
     enthalpy (1/2 each with two passes). `meets`: which points can meet anything, as pieces that no master facet
     covers cannot. After a pairing, `rows` are the points near the master, `candidates` for each of the `meetings`
@@ -178,7 +178,7 @@ class SurfacePair:
 
     def may_meet(self, slave: NDArray[np.int64], master: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether points of slave facets may meet visible master facets, (k,) each."""
-        ours, theirs = self.slave.clump[slave], self.ghost_facets.clump[master]
+        ours, theirs = self.slave.component[slave], self.ghost_facets.component[master]
         may = self.rule.allows(ours, theirs)
         if self.self_contact is not None:
             joined = np.flatnonzero(may & self.rule.same_part(ours, theirs))
@@ -208,17 +208,20 @@ class SurfacePair:
         """How far (bodies,) the facets of each body that are seen here have moved at most, nodes by `change` (n, d)."""
         length = LARGEST_SHAPE[self.slave.kind.order] * np.linalg.norm(change, axis=1)
         found = np.zeros(bodies)
-        for clump, nodes in ((self.slave.clump, self.slave_nodes), (self.ghost_facets.clump, self.master_nodes)):
-            np.maximum.at(found, self.rule.body(clump), length[nodes].max(axis=1, initial=0.0))
+        for component, nodes in (
+            (self.slave.component, self.slave_nodes),
+            (self.ghost_facets.component, self.master_nodes),
+        ):
+            np.maximum.at(found, self.rule.body(component), length[nodes].max(axis=1, initial=0.0))
         return found
 
     def add_motion(self, motions: Array) -> None:
         """Note that bodies have moved by these distances (b,)."""
         others = np.zeros(len(self.near_points))
-        for near, clump in zip(self.candidate_pairs.points, self.candidate_pairs.clump, strict=True):
-            others[near] = np.maximum(others[near], motions[self.rule.body(clump)])
+        for near, component in zip(self.candidate_pairs.points, self.candidate_pairs.component, strict=True):
+            others[near] = np.maximum(others[near], motions[self.rule.body(component)])
         self.motion_since_search += (
-            motions[self.rule.body(self.slave.clump[self.points.facet[self.near_points]])] + others
+            motions[self.rule.body(self.slave.component[self.points.facet[self.near_points]])] + others
         )
 
     def potentials_at(self, potentials: Array, slave: NDArray, master: NDArray) -> tuple[Array, Array]:
@@ -230,7 +233,7 @@ class SurfacePair:
         )
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
-        """First-order changes (2, m), um and V, of gaps and jumps with those (n, components) of the nodes' unknowns."""
+        """First-order changes (2, m), um and V, of gaps and jumps with those (n, block_size) of the nodes' unknowns."""
         rows, partner = self.projected_points, self.partner
         facet, there = self.points.facet[rows], None
         if self.jump is not None:
@@ -259,12 +262,14 @@ class SurfacePair:
             self.law, self.facet_size = law[points.facet], size[points.facet]
 
     def partner_component(self) -> NDArray[np.int64]:
-        """The clump that each point of the last evaluation met, (met,)."""
-        return self.ghost_facets.clump[self.partner]
+        """The component that each point of the last evaluation met, (met,)."""
+        return self.ghost_facets.component[self.partner]
 
     def is_self_contact(self) -> NDArray[np.bool_]:
         """Whether each point of the last evaluation met a facet of its own connected part, (met,)."""
-        return self.rule.same_part(self.slave.clump[self.points.facet[self.projected_points]], self.partner_component())
+        return self.rule.same_part(
+            self.slave.component[self.points.facet[self.projected_points]], self.partner_component()
+        )
 
     def pair_numbers(self, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Number of the pair that each point met belongs to, and whether the point is on the first of the two.
@@ -273,7 +278,7 @@ class SurfacePair:
         """
         if pairs.given is not None:
             return np.full(len(self.projected), self.pair), np.full(len(self.projected), self.first)
-        slave = self.rule.body(self.slave.clump[self.points.facet[self.projected_points]])
+        slave = self.rule.body(self.slave.component[self.points.facet[self.projected_points]])
         master = self.rule.body(self.partner_component())
         first = slave < master
         if self.self_contact is not None:

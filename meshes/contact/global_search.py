@@ -1,9 +1,9 @@
 """Surfaces of many bodies: which facets a rank must see, and which bodies' facets each point must be tried against.
 
-A clump is a connected piece of one body; points never meet facets of their own body, or of their own connected part,
-unless self-contact is asked for: `own_surface` then says of facets of one part which may meet.
-Everything goes by boxes around small clusters of neighbouring facets of one clump, so that the work is proportional to
-the surface and not to the number of pairs of bodies.
+A component is a connected piece of one body. Points never meet facets of their own body, or of their own connected
+part, unless self-contact is asked for: `SelfContact` then says which facets of one part may meet. Everything goes by
+boxes around small clusters of neighbouring facets of one component, so that the work is proportional to the surface and
+not to the number of pairs of bodies.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SEARCH_CLUSTER = 64  # facets, or points, in a box of the coarse search
 
 @dataclass(frozen=True)
 class PairingRule:
-    """Which clumps may meet. A clump's number is body * parts + part.
+    """Which components may meet. A component's number is body * parts + part.
 
     `ordered`: slaves of the lower body alone; `self_contact`: with self-contact.
     """
@@ -31,22 +31,22 @@ class PairingRule:
     ordered: bool = False
     self_contact: bool = False
 
-    def clump(self, body: NDArray, part: NDArray) -> Integers:
-        """Numbers of clumps."""
+    def component(self, body: NDArray, part: NDArray) -> Integers:
+        """Numbers of components."""
         return np.asarray(body, np.int64) * self.parts + part
 
-    def body(self, clump: Integers) -> Integers:
-        """The body of each clump."""
-        return clump // self.parts
+    def body(self, component: Integers) -> Integers:
+        """The body of each component."""
+        return component // self.parts
 
     def allows(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
-        """Whether points of the slave clumps may meet facets of the master clumps."""
+        """Whether points of the slave components may meet facets of the master components."""
         may = np.full(np.broadcast(slave, master).shape, self.self_contact)
         may |= (self.body(slave) != self.body(master)) & ~self.same_part(slave, master)
         return may & (slave <= master) if self.ordered else may
 
     def same_part(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
-        """Whether clumps belong to the same connected part."""
+        """Whether components belong to the same connected part."""
         return slave % self.parts == master % self.parts
 
 
@@ -59,13 +59,13 @@ SLAVE, MASTER = 0, 3
 class GhostFacets:
     """Master facets that a rank can see, from every rank.
 
-    nodes (f, n) global, orientation (f,), key (f,), clump (f,), rounding (f, k, d) as of `Surface`.
+    nodes (f, n) global, orientation (f,), key (f,), component (f,), rounding (f, k, d) as of `Surface`.
     """
 
     nodes: Integers
     orientation: Array
     key: Integers
-    clump: Integers
+    component: Integers
     rounding: Array
 
     def __len__(self) -> int:
@@ -77,18 +77,18 @@ class GhostFacets:
 
 @dataclass(frozen=True)
 class Clusters:
-    """Groups of neighbours of one clump: boxes (b, 2, d), clump (b,), and the members of each."""
+    """Groups of neighbours of one component: boxes (b, 2, d), component (b,), and the members of each."""
 
     boxes: Array
-    clump: Integers
+    component: Integers
     members: list[Integers]
 
     @classmethod
-    def of(cls, low: Array, high: Array, clump: Integers, size: int = SEARCH_CLUSTER) -> Clusters:
+    def of(cls, low: Array, high: Array, component: Integers, size: int = SEARCH_CLUSTER) -> Clusters:
         """Clusters of at most `size` things with extents low, high (n, d)."""
         middle = 0.5 * (low + high)
-        order = np.argsort(clump, kind="stable")
-        groups = np.split(order, np.flatnonzero(np.diff(clump[order])) + 1) if len(order) else []
+        order = np.argsort(component, kind="stable")
+        groups = np.split(order, np.flatnonzero(np.diff(component[order])) + 1) if len(order) else []
         members = []
         while groups:
             group = groups.pop()
@@ -99,7 +99,7 @@ class Clusters:
             group = group[np.argsort(middle[group, axis], kind="stable")]
             groups += [group[: len(group) // 2], group[len(group) // 2 :]]
         boxes = [np.stack([low[group].min(axis=0), high[group].max(axis=0)]) for group in members]
-        numbers = np.array([clump[group[0]] for group in members], np.int64)
+        numbers = np.array([component[group[0]] for group in members], np.int64)
         return cls(np.reshape(boxes, (-1, 2, low.shape[1])), numbers, members)
 
 
@@ -128,7 +128,7 @@ def overlapping(first: Array, second: Array, margin: float) -> tuple[Integers, I
 def share_facets(
     comm: MPI.Comm,
     slave_positions: Array,
-    slave_clump: Integers,
+    slave_component: Integers,
     master: GhostFacets,
     master_positions: Array,
     margin: float,
@@ -140,13 +140,13 @@ def share_facets(
     this rank's own. Facets are sent where they are near a box of slave facets, so a rank sees little more than its
     own neighbourhood.
     """
-    slaves = Clusters.of(slave_positions.min(axis=1), slave_positions.max(axis=1), slave_clump)
+    slaves = Clusters.of(slave_positions.min(axis=1), slave_positions.max(axis=1), slave_component)
     low, high = master_positions.min(axis=1), master_positions.max(axis=1)
-    masters = Clusters.of(low, high, master.clump)
+    masters = Clusters.of(low, high, master.component)
     parcels = []
-    for boxes, clump in comm.allgather((slaves.boxes, slaves.clump)):
+    for boxes, component in comm.allgather((slaves.boxes, slaves.component)):
         theirs, mine = overlapping(boxes, masters.boxes, margin)
-        allowed = rule.allows(clump[theirs], masters.clump[mine])
+        allowed = rule.allows(component[theirs], masters.component[mine])
         near = np.zeros(len(master), bool)
         for box, cluster in zip(theirs[allowed], mine[allowed], strict=True):
             members = masters.members[cluster]
@@ -160,12 +160,12 @@ def share_facets(
 
 @dataclass(frozen=True)
 class CandidatePairs:
-    """What points are near: for each clump of facets its number, its facets, and the points that may meet it.
+    """What points are near: for each component of facets its number, its facets, and the points that may meet it.
 
     Points that are of the same connected part, `same_part`, come by themselves.
     """
 
-    clump: Integers
+    component: Integers
     same_part: NDArray[np.bool_]
     facets: list[Integers]
     points: list[Integers]
@@ -174,26 +174,26 @@ class CandidatePairs:
     def near(
         cls,
         points: Array,
-        point_clump: Integers,
+        point_component: Integers,
         facets: Array,
-        facet_clump: Integers,
+        facet_component: Integers,
         margin: float,
         rule: PairingRule,
     ) -> CandidatePairs:
         """Of points (m, d) and facets (f, n, d), all whose boxes come within `margin` of each other."""
-        mine = Clusters.of(points, points, point_clump)
-        theirs = Clusters.of(facets.min(axis=1), facets.max(axis=1), facet_clump)
+        mine = Clusters.of(points, points, point_component)
+        theirs = Clusters.of(facets.min(axis=1), facets.max(axis=1), facet_component)
         a, b = overlapping(mine.boxes, theirs.boxes, margin)
-        allowed = rule.allows(mine.clump[a], theirs.clump[b])
-        a, clump = a[allowed], theirs.clump[b[allowed]]
-        same_part = rule.same_part(mine.clump[a], clump)
-        if not len(clump):
-            return cls(clump, same_part, [], [])
-        by_clump = np.argsort(facet_clump, kind="stable")
-        numbers, first = np.unique(facet_clump[by_clump], return_index=True)
-        of_clump = dict(zip(numbers.tolist(), np.split(by_clump, first[1:]), strict=True))
-        found = np.unique(np.stack([clump, same_part, a], axis=1), axis=0)
+        allowed = rule.allows(mine.component[a], theirs.component[b])
+        a, component = a[allowed], theirs.component[b[allowed]]
+        same_part = rule.same_part(mine.component[a], component)
+        if not len(component):
+            return cls(component, same_part, [], [])
+        by_component = np.argsort(facet_component, kind="stable")
+        numbers, first = np.unique(facet_component[by_component], return_index=True)
+        of_component = dict(zip(numbers.tolist(), np.split(by_component, first[1:]), strict=True))
+        found = np.unique(np.stack([component, same_part, a], axis=1), axis=0)
         met, start = np.unique(found[:, :2], axis=0, return_index=True)
         boxes = np.split(found[:, 2], start[1:])
         near = [np.concatenate([mine.members[box] for box in group]) for group in boxes]
-        return cls(met[:, 0], met[:, 1] > 0, [of_clump[int(number)] for number in met[:, 0]], near)
+        return cls(met[:, 0], met[:, 1] > 0, [of_component[int(number)] for number in met[:, 0]], near)

@@ -15,7 +15,7 @@ from piezomat.meshes.contact.global_search import Clusters, GhostFacets, Pairing
 from piezomat.meshes.contact.surface import Surface, global_numbers
 from piezomat.meshes.parallel import redistributed
 
-BALANCE_CLUSTER = 8  # neighbouring facets of a clump that stay together
+BALANCE_CLUSTER = 8  # neighbouring facets of a component that stay together
 ALONE = 0.01  # what a facet that no other body is near costs, over one in contact
 UNEVEN = 1.2  # most work of a rank over the mean: what is more even stays where its cells are
 
@@ -24,7 +24,7 @@ UNEVEN = 1.2  # most work of a rank over the mean: what is more even stays where
 class SlaveFacets:
     """Facets of a slave surface whose points this rank evaluates; every facet is with exactly one rank.
 
-    nodes (f, n): global node numbers; clump (f,) and body (f,) that they belong to; all else as of `Surface`.
+    nodes (f, n): global node numbers; component (f,) and body (f,) that they belong to; all else as of `Surface`.
     """
 
     kind: FacetKind
@@ -33,14 +33,14 @@ class SlaveFacets:
     orientation: Array
     key: Integers
     rounding: Array
-    clump: Integers
+    component: Integers
     body: Integers
 
     @classmethod
-    def of(cls, space: Any, surface: Surface, clump: Integers, body: Integers) -> SlaveFacets:
+    def of(cls, space: Any, surface: Surface, component: Integers, body: Integers) -> SlaveFacets:
         """The facets of a surface, with the ranks that hold their cells."""
         nodes, s = global_numbers(space, surface.nodes), surface
-        return cls(s.kind, nodes, s.reference, s.orientation, s.key, s.rounding, clump, np.asarray(body, np.int64))
+        return cls(s.kind, nodes, s.reference, s.orientation, s.key, s.rounding, component, np.asarray(body, np.int64))
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -63,15 +63,15 @@ def balanced_ranks(
     if comm.size == 1:
         return rank
     clusters, masters = (
-        Clusters.of(nodes.min(axis=1), nodes.max(axis=1), clump, BALANCE_CLUSTER)
-        for nodes, clump in ((slave.reference, slave.clump), (master_reference, master.clump))
+        Clusters.of(nodes.min(axis=1), nodes.max(axis=1), component, BALANCE_CLUSTER)
+        for nodes, component in ((slave.reference, slave.component), (master_reference, master.component))
     )
-    boxes, clump = (
-        np.concatenate(parts) for parts in zip(*comm.allgather((masters.boxes, masters.clump)), strict=True)
+    boxes, component = (
+        np.concatenate(parts) for parts in zip(*comm.allgather((masters.boxes, masters.component)), strict=True)
     )
     i, j = overlapping(clusters.boxes, boxes, margin)
     # What meets its own part is near itself everywhere.
-    meets = rule.allows(clusters.clump[i], clump[j]) & ~rule.same_part(clusters.clump[i], clump[j])
+    meets = rule.allows(clusters.component[i], component[j]) & ~rule.same_part(clusters.component[i], component[j])
     i, j = i[meets], j[meets]
     apart = np.maximum(boxes[j, 0] - clusters.boxes[i, 1], clusters.boxes[i, 0] - boxes[j, 1]).max(axis=1, initial=0.0)
     # What is nearer has contact for more of the motion.

@@ -53,20 +53,20 @@ def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
     first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
     nodes = facets_of_plies(first, last)
     fiber = np.repeat(np.arange(first, last), each)
-    clump = rule.clump(fiber, fiber)
+    component = rule.component(fiber, fiber)
     middle = np.full((len(nodes), 2), 0.5)
     inside = nodes.reshape(last - first, -1, 3).mean(axis=1)[fiber - first]
     raw = point_normals(kind, middle, nodes, np.ones(len(nodes)))
     sign = np.sign(np.einsum("md,md->m", raw, nodes.mean(axis=1) - inside))
     key = first * each + np.arange(len(nodes))
-    own = GhostFacets(4 * key[:, None] + np.arange(4), sign, key, clump, nodes[:, :0])
+    own = GhostFacets(4 * key[:, None] + np.arange(4), sign, key, component, nodes[:, :0])
     began = process_time()
-    visible = share_facets(comm, nodes, clump, own, nodes, MARGIN, rule)
+    visible = share_facets(comm, nodes, component, own, nodes, MARGIN, rule)
     low, high = int(visible.key.min()) // each, int(visible.key.max()) // each + 1
     facets = facets_of_plies(low, high)[visible.key - low * each]
     points, normals = nodes.mean(axis=1), raw * sign[:, None]
     found = 0
-    meetings = CandidatePairs.near(points, clump, facets, visible.clump, MARGIN, rule)
+    meetings = CandidatePairs.near(points, component, facets, visible.component, MARGIN, rule)
     for rows, theirs in zip(meetings.points, meetings.facets, strict=True):
         near = rows[near_points(points[rows], facets[theirs], MARGIN)]
         facing = visible.orientation[theirs]

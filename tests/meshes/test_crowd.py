@@ -60,25 +60,25 @@ def test_boxes_that_overlap_are_all_found(rng: np.random.Generator) -> None:
         assert sorted(zip(a.tolist(), b.tolist(), strict=True)) == expected and 20 < len(expected) < 6000
 
 
-def test_clusters_are_of_one_clump_and_hold_everything_once(rng: np.random.Generator) -> None:
+def test_clusters_are_of_one_component_and_hold_everything_once(rng: np.random.Generator) -> None:
     low = rng.uniform(0.0, 1.0, (500, 3))
-    clump = rng.integers(0, 7, 500)
-    found = Clusters.of(low, low + 0.1, clump, 20)
+    component = rng.integers(0, 7, 500)
+    found = Clusters.of(low, low + 0.1, component, 20)
     assert sorted(np.concatenate(found.members).tolist()) == list(range(500))
-    for box, number, members in zip(found.boxes, found.clump, found.members, strict=True):
-        assert len(members) <= 20 and (clump[members] == number).all()
+    for box, number, members in zip(found.boxes, found.component, found.members, strict=True):
+        assert len(members) <= 20 and (component[members] == number).all()
         np.testing.assert_array_equal(box, [low[members].min(axis=0), low[members].max(axis=0) + 0.1])
 
 
 def test_rules_say_who_may_meet() -> None:
     rule = PairingRule(parts=3)
-    clumps = rule.clump(np.array([0, 0, 1, 2]), np.array([0, 1, 1, 2]))
-    allowed = rule.allows(clumps[:, None], clumps)
+    components = rule.component(np.array([0, 0, 1, 2]), np.array([0, 1, 1, 2]))
+    allowed = rule.allows(components[:, None], components)
     # The body itself is out, and so is a body that shares a connected part.
     assert allowed.astype(int).tolist() == [[0, 0, 1, 1], [0, 0, 0, 1], [1, 0, 0, 1], [1, 1, 1, 0]]
-    ordered = PairingRule(parts=3, ordered=True).allows(clumps[:, None], clumps)
+    ordered = PairingRule(parts=3, ordered=True).allows(components[:, None], components)
     assert (ordered == np.triu(allowed)).all()
-    itself = PairingRule(parts=3, ordered=True, self_contact=True).allows(clumps[:, None], clumps)
+    itself = PairingRule(parts=3, ordered=True, self_contact=True).allows(components[:, None], components)
     assert (itself == np.triu(np.ones((4, 4)))).all()
     assert ONE_TO_ONE.allows(np.array([0]), np.array([3])).all()
 
@@ -98,7 +98,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     facets, own = position[p.slave.nodes], p.points.facet
     points = np.einsum("mk,mkd->md", p.points.shape, facets[own])
     normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
-    body = p.rule.body(p.slave.clump)
+    body = p.rule.body(p.slave.component)
     met = np.full(len(points), -1)
     met[p.projected_points] = p.ghost_facets.key[p.partner]
     chosen = rng.choice(len(points), 250, replace=False)
@@ -192,11 +192,11 @@ def test_a_pressed_mat_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path:
 
 
 def test_nothing_meets_where_there_is_nothing() -> None:
-    none, clump = np.zeros((0, 4, 3)), np.zeros(0, np.int64)
-    found = CandidatePairs.near(np.zeros((5, 3)), np.zeros(5, np.int64), none, clump, 1.0, ONE_TO_ONE)
-    assert not found.points and not len(found.clump)
+    none, component = np.zeros((0, 4, 3)), np.zeros(0, np.int64)
+    found = CandidatePairs.near(np.zeros((5, 3)), np.zeros(5, np.int64), none, component, 1.0, ONE_TO_ONE)
+    assert not found.points and not len(found.component)
     some = np.zeros((2, 4, 3))
-    assert not CandidatePairs.near(np.zeros((0, 3)), clump, some, np.full(2, 3), 1.0, ONE_TO_ONE).points
+    assert not CandidatePairs.near(np.zeros((0, 3)), component, some, np.full(2, 3), 1.0, ONE_TO_ONE).points
 
 
 def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
@@ -213,5 +213,8 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     contact.detect(state, 0.3)
     contact.evaluate(state, tangent=False)
     (p,) = contact.surface_pairs
-    slave, master = p.rule.body(p.slave.clump[p.points.facet[p.projected_points]]), p.rule.body(p.partner_component())
+    slave, master = (
+        p.rule.body(p.slave.component[p.points.facet[p.projected_points]]),
+        p.rule.body(p.partner_component()),
+    )
     assert len(p.projected) > 20 and (slave < master).all() and p.share == 1.0
