@@ -18,9 +18,9 @@ __version__ = "0.1.0"
 _MODULES = {
     "BUILT_IN": "piezomat.forms.materials",
     "Material": "piezomat.forms.materials",
-    "Scene": "piezomat.scene.scene",
-    "SceneError": "piezomat.scene.errors",
-    "schema": "piezomat.scene.scene",
+    "Scene": "piezomat.scene",
+    "SceneError": "piezomat.scene",
+    "schema": "piezomat.scene",
     "Run": "piezomat.simulation",
     "NotConverged": "piezomat.simulation",
     "Interrupted": "piezomat.simulation",

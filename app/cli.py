@@ -19,10 +19,11 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
+from piezomat.meshes.gmsh_io.mesh_file import MeshError
 from piezomat.meshes.parallel import on_root
+from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
-from piezomat.scene.errors import named
-from piezomat.scene.scene import MeshError, Scene, SceneError, mesh_error, schema
+from piezomat.scene.errors import mesh_error, named
 from piezomat.usage import importing
 
 DONE, FAILED, WRONG_SCENE, NOT_CONVERGED = 0, 1, 2, 3

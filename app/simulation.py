@@ -29,8 +29,8 @@ from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import Results
 from piezomat.results.quantities import Balance, columns, pair_columns, pair_table, row
 from piezomat.results.ranks import described, shares
-from piezomat.scene.errors import named
-from piezomat.scene.scene import Scene, SceneError, mesh_error
+from piezomat.scene import Scene, SceneError
+from piezomat.scene.errors import mesh_error, named
 from piezomat.solver.linear import Direct, Multigrid
 from piezomat.solver.load_steps import Step, Stepper, StepReport, steps
 from piezomat.solver.newton import Newton

@@ -9,7 +9,7 @@ from typing import Any
 import gmsh
 import numpy as np
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import Run
 
 

@@ -138,7 +138,7 @@ def test_every_module_is_on_a_map(module: str) -> None:
 
 
 def test_no_whole_scene_of_a_readme_is_out_of_date(tmp_path: Path) -> None:
-    from piezomat.scene.scene import Scene
+    from piezomat.scene import Scene
 
     (whole,) = re.findall(r"^```toml\n(.*?)^```$", text("README.md"), re.M | re.S)
     file = tmp_path / "mine.toml"

@@ -21,8 +21,9 @@ from piezomat.forms.piezo import Load, boundary_loads, constitutive_field
 from piezomat.meshes import parallel
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.contact.surface import node_coordinates, surface
+from piezomat.scene import Scene
 from piezomat.scene.errors import SceneError
-from piezomat.scene.scene import Boundary, Scene
+from piezomat.scene.sections import Boundary
 
 HELD_TOLERANCE = 1e-8  # least eigenvalue, relative, of the constraints on a part's rigid modes that counts as held
 

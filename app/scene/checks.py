@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
 
 from piezomat.forms.materials import BUILT_IN
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
+from piezomat.scene.data import SceneData, key_of
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
-from piezomat.scene.sections import SIDES
-
-if TYPE_CHECKING:
-    from piezomat.scene.scene import Scene
-    from piezomat.scene.sections import Boundary
+from piezomat.scene.sections import SIDES, Boundary
 
 OVERLAP = 0.1  # of the size of the smallest body, at the start
 
 
-def key_of(body: str, keys: Iterable[str]) -> str | None:
-    """The key that stands for a body: its name, or else the first pattern that fits it; None for none."""
-    keys = list(keys)
-    return body if body in keys else next((key for key in keys if "*" in key and fnmatchcase(body, key)), None)
+def check(scene: SceneData) -> None:
+    """Raise SceneError for the first thing in which the sections of a scene do not fit together."""
+    for part in (bodies, mesh, gap, orientations, boundaries, planes, contact, load):
+        part(scene)
 
 
-def bodies(scene: Scene) -> None:
+def bodies(scene: SceneData) -> None:
     """Every body of the geometry has a material that exists, and every key is a body or fits one."""
     known = scene.body_names
     for body, material in scene.bodies.items():
@@ -38,7 +33,7 @@ def bodies(scene: Scene) -> None:
             raise SceneError(f"bodies.{body}", "nothing", "a material of the scene or a built-in one for every body")
 
 
-def mesh(scene: Scene) -> None:
+def mesh(scene: SceneData) -> None:
     """Built shapes have a size of elements unless their cells are counted; factors belong to bodies."""
     counted = isinstance(scene.geometry, MeshFile) or getattr(scene.geometry, "divisions", None) is not None
     if scene.mesh.size is None and not counted:
@@ -50,7 +45,7 @@ def mesh(scene: Scene) -> None:
         raise SceneError("model.plane", '"stress"', 'nothing but "strain" in three dimensions')
 
 
-def gap(scene: Scene) -> None:
+def gap(scene: SceneData) -> None:
     """The bodies of a built shape do not overlap from the start by more than a tenth of the smallest one."""
     given = getattr(scene.geometry, "gap", 0.0)
     if given < 0 and -given > OVERLAP * scene.geometry.size():
@@ -59,7 +54,7 @@ def gap(scene: Scene) -> None:
         raise SceneError("geometry.gap", given, allowed)
 
 
-def orientations(scene: Scene) -> None:
+def orientations(scene: SceneData) -> None:
     """Axes of materials have as many components as the scene allows and are not parallel."""
     for name, keys in scene.materials.items():
         for key in ("poling", "axis1"):
@@ -74,7 +69,7 @@ def orientations(scene: Scene) -> None:
                 raise SceneError(f"materials.{name}.axis1", keys.axis1, allowed) from None
 
 
-def boundaries(scene: Scene) -> None:
+def boundaries(scene: SceneData) -> None:
     """Rows are on facet groups, with a component a dimension and a factor that exists; no two give the same thing."""
     given: dict[tuple[str, str], int] = {}
     for index, row in enumerate(scene.boundaries):
@@ -100,7 +95,7 @@ def boundaries(scene: Scene) -> None:
             raise unknown_name(f"{key}.follows", row.follows, "a factor of load.factors", list(scene.load.factors))
 
 
-def planes(scene: Scene) -> None:
+def planes(scene: SceneData) -> None:
     """Planes have names of their own, a component a dimension and factors that exist; something holds the bodies."""
     if not scene.boundaries and not scene.planes:
         raise SceneError("boundaries", "nothing", "at least one of [[boundaries]] or [[planes]]")
@@ -135,7 +130,7 @@ def _prescribed(row: Boundary) -> list[str]:
     return components + (["potential"] if row.potential is not None else [])
 
 
-def contact(scene: Scene) -> None:
+def contact(scene: SceneData) -> None:
     """Pairs name two different bodies or groups of facets, each pair once; what can be smoothed is smoothed alone."""
     if scene.contact is None:
         return
@@ -164,7 +159,7 @@ def contact(scene: Scene) -> None:
         seen[frozenset(pair)] = index
 
 
-def load(scene: Scene) -> None:
+def load(scene: SceneData) -> None:
     """Every load factor is followed."""
     followed = {row.follows for row in scene.boundaries}
     followed |= {factor for plane in scene.planes for factor in (plane.follows, plane.potential_follows)}

@@ -12,6 +12,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from piezomat.meshes.gmsh_io.mesh_file import MeshError
+
 Path = tuple[str | int, ...]
 
 
@@ -101,6 +103,13 @@ def scene_error(error: ValidationError, data: Any, schema: dict[str, Any]) -> Sc
             return SceneError(dotted((*path, key)), shown(found[key]), words)
         return SceneError(dotted(path), shown(found), str(cause))
     return SceneError(dotted(path), shown(found), allowed_at(path, data, schema) or first["msg"])
+
+
+def mesh_error(error: MeshError) -> SceneError:
+    """A MeshError as an error of the scene, under the key that is to blame."""
+    words = {"geometry.file": "a file of the geometry that can be used", "out": "a file that can be written"}
+    key = "--out" if error.key == "out" else error.key
+    return SceneError(key, str(error), words.get(error.key, "dimensions and sizes that can be meshed"))
 
 
 def data_path(loc: Path, data: Any) -> Path:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from piezomat.usage import importing
 
 with importing():  # as the command line does
-    from piezomat.scene.scene import Scene
+    from piezomat.scene import Scene
     from piezomat.simulation import run
 
 done = run(Scene.load(sys.argv[1]), MPI.COMM_WORLD)

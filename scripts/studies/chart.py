@@ -27,7 +27,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from scripts.studies import tables
 from scripts.studies.chart_cases import CASES, CURVES, ELECTRIC, NORMAL, Case, peak_pressure
 from scripts.studies.other_programs import OTHERS, installed

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from piezomat.forms.materials import BUILT_IN
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from scripts.studies.two_fibers import pressed
 from tests.verification import references as ref
 

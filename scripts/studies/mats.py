@@ -27,7 +27,7 @@ matplotlib.use("Agg")
 import numpy as np
 from matplotlib import pyplot
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from scripts.studies import tables
 
 SIDE = 12.0 / np.sqrt(10.0)  # of the box (um) over the root of the number of fibers: that of the shipped scene

@@ -63,7 +63,7 @@ def minus_as_plus(interfaces_of: Any) -> Any:
 def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
     """One cell of a map: what came out, as a row of its table."""
     from piezomat import simulation
-    from piezomat.scene.scene import SceneError
+    from piezomat.scene import SceneError
 
     logging.disable(logging.ERROR)
     name, column, x, y = task

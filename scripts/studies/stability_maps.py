@@ -17,7 +17,7 @@ import numpy as np
 import ufl
 
 from piezomat.forms import fenicsx
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import Run
 from scripts.studies.stability_methods import METHODS, Method
 from tests.scenes import Points

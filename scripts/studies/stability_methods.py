@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from tests.verification import references as ref
 
 STIFFNESS = float(ref.PVDF.stiffness[2, 2])  # of contact.normal_penalty_factor's definition, nearly

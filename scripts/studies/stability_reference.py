@@ -20,7 +20,7 @@ from mpi4py import MPI
 from piezomat.assembly.problem import Problem
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.usage import Timer
 
 RADIUS = 0.5

@@ -14,7 +14,7 @@ from typing import Any
 
 import gmsh
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 
 ROOT = Path(__file__).parents[2]
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}

@@ -13,7 +13,7 @@ from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History
-from piezomat.scene.scene import Scene, SceneError
+from piezomat.scene import Scene, SceneError
 from piezomat.simulation import NotConverged, run
 from tests.scenes import press
 from tests.verification.references import PVDF

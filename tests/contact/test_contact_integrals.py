@@ -24,7 +24,7 @@ from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.surface import node_coordinates
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from tests.bulk import assemble_matrix, assemble_vector
 from tests.facets import KINDS, PairBatch, warped_facets
 

@@ -14,7 +14,7 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.integrals import first_changes
 from piezomat.meshes.body_mesh import create
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver import newton as solver
 from tests.facets import KINDS, PairBatch

@@ -14,7 +14,7 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
 from piezomat.results.files import read_history
-from piezomat.scene.scene import Scene, SceneError
+from piezomat.scene import Scene, SceneError
 from piezomat.simulation import plan, run
 
 YOUNG, POISSON, PERMITTIVITY = 1000.0, 0.3, 1e-4

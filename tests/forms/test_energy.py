@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from mpi4py import MPI
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 
 STORED = ("elastic", "electric", "contact", "adhesion", "dissipated", "stabilization")

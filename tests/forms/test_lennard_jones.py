@@ -10,7 +10,7 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.lennard_jones import CUTOFF_START, LennardJones
 from piezomat.forms.contact.laws.response import History
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver.load_steps import SNAP_CUTBACKS
 from tests.scenes import press

@@ -17,7 +17,7 @@ from piezomat.meshes.body_mesh import Partition, create
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.surface import Surface, body_facets, surface
 from piezomat.meshes.shapes import CrossedFibers, MeshSizes, Shape, StackedBlocks
-from piezomat.scene.scene import Scene, SceneError
+from piezomat.scene import Scene, SceneError
 from piezomat.simulation import run
 from scripts.studies.stability_maps import around, ripple
 from scripts.studies.stability_methods import Method

@@ -17,7 +17,7 @@ from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.global_search import ONE_TO_ONE, CandidatePairs, Clusters, PairingRule, overlapping
 from piezomat.meshes.contact.local_search import brute_force_facets, closest_facets
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.histories import assert_equal
 

@@ -27,7 +27,7 @@ from piezomat.meshes.contact.global_search import (
     share_facets,
 )
 from piezomat.meshes.contact.local_search import END_TOLERANCE, brute_force_facets, closest_facets, near_points
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from tests.facets import KINDS, rotation
 
 RADIUS = 0.5

@@ -19,7 +19,7 @@ from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes import CrossPly, FiberArray, Fibers, Mat, Shapes
 from piezomat.meshes.shapes.deposition import Bed
 from piezomat.meshes.shapes.fiber_shape import FiberShape
-from piezomat.scene.scene import Scene, SceneError
+from piezomat.scene import Scene, SceneError
 
 KINDS = [("simplex", 1), ("simplex", 2), ("tensor", 1), ("tensor", 2)]
 SMALL = {"width": 6.0, "depth": 6.0, "count": 6}

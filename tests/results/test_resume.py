@@ -22,7 +22,7 @@ from piezomat import cli
 from piezomat.progress import Progress
 from piezomat.results import checkpoint
 from piezomat.results.files import Results, read_history
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import Interrupted, run
 from tests.conftest import LAUNCH, bare_environment
 from tests.histories import Rows, assert_equal

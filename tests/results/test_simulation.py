@@ -16,7 +16,7 @@ from mpi4py import MPI
 from piezomat import cli
 from piezomat.results.files import SUMMARY_KEYS, read_history
 from piezomat.results.vtk import read_index
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import NotConverged, Run, plan, run
 from piezomat.solver.newton import Newton
 from piezomat.usage import BUCKETS

@@ -17,8 +17,8 @@ from mpi4py import MPI
 
 import piezomat
 from piezomat import cli
+from piezomat.scene import Scene, SceneError
 from piezomat.scene import toml as scene_file
-from piezomat.scene.scene import Scene, SceneError
 from tests.conftest import LAUNCH, bare_environment
 from tests.scene.test_malformed import OVERLAPPING, OVERLAPPING_SCENE, SQUARE, SQUARE_SCENE
 

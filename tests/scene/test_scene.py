@@ -12,8 +12,8 @@ import pytest
 
 from piezomat.forms.materials import BUILT_IN, Material
 from piezomat.meshes.shapes import FacingHalves
+from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
-from piezomat.scene.scene import Scene, SceneError, schema
 
 # The example of the contract, SCENE.md, word for word but for the comments.
 CONTRACT = """

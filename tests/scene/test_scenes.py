@@ -17,8 +17,8 @@ from mpi4py import MPI
 
 from piezomat import simulation
 from piezomat.results.fields import FieldOutput
+from piezomat.scene import Scene
 from piezomat.scene import toml as scene_file
-from piezomat.scene.scene import Scene
 from tests.conftest import bare_environment
 from tests.verification import references as ref
 

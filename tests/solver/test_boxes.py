@@ -13,7 +13,7 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model, rigid_modes
 from piezomat.meshes.body_mesh import create
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver import coarse_space as boxes
 from piezomat.usage import Timer

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver import newton as solver
 from piezomat.solver.outcome import NewtonReport

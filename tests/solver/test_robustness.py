@@ -11,7 +11,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.contact import interfaces as contact
-from piezomat.scene.scene import Scene, SceneError
+from piezomat.scene import Scene, SceneError
 from piezomat.simulation import NotConverged, run
 from piezomat.solver import newton as solver
 from piezomat.solver.load_steps import Step, Stepper, StepReport

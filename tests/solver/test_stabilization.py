@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.assembly import problem
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import NotConverged, run
 from piezomat.solver import newton as solver
 from piezomat.solver import stabilization as springs

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from scripts.studies.mats import CHEAP, PRESSED, QUIET, STUDIES, Run, alike, exponent, study, value
 
 

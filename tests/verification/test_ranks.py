@@ -14,7 +14,7 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import Run, run
 from tests.histories import Rows, assert_equal
 

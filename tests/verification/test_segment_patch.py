@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.results.fields import FieldOutput
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.scenes import press
 from tests.verification.references import contact_patch_stress

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.results.fields import FieldOutput
-from piezomat.scene.scene import Scene
+from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.scenes import along, press, rollers
 from tests.verification.references import (

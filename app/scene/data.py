@@ -1,0 +1,152 @@
+"""What a scene file holds, and what follows from it at once: names, sizes, materials in global axes.
+
+`Scene` adds the ways to read and write it and the checks. Nothing here is collective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Discriminator, Field, PrivateAttr, Tag
+
+from piezomat.forms.materials import BUILT_IN, Material
+from piezomat.meshes.gmsh_io.mesh_file import MeshError, MeshFile, read_groups
+from piezomat.meshes.shapes import MeshSizes, Shapes
+from piezomat.scene.errors import SceneError, mesh_error, shown
+from piezomat.scene.sections import (
+    Boundary,
+    Contact,
+    Keys,
+    Load,
+    MaterialKeys,
+    MeshKeys,
+    ModelKeys,
+    Name,
+    Output,
+    Plane,
+    Solver,
+)
+
+
+class Groups(NamedTuple):
+    """What a geometry consists of: its dimension and the names of bodies and groups of facets."""
+
+    dimension: int
+    bodies: tuple[str, ...]
+    facets: tuple[str, ...]
+
+
+def _branch(geometry: Any) -> str:
+    """The branch of `Geometry` that a table of keys or a geometry belongs to."""
+    given = isinstance(geometry, dict) and "file" in geometry and "shape" not in geometry
+    file = given or isinstance(geometry, MeshFile)
+    return "mesh file" if file else "built shape"
+
+
+Geometry = Annotated[
+    Annotated[Shapes, Tag("built shape")] | Annotated[MeshFile, Tag("mesh file")], Discriminator(_branch)
+]
+
+
+class SceneData(Keys):
+    """The keys of a scene file and what they amount to. Units um, uN, MPa, V, pC, pJ."""
+
+    title: Name = Field("scene", description="default: the name of the file")
+    geometry: Geometry = Field(description="a built shape or a gmsh mesh file")
+    mesh: MeshKeys = Field(default_factory=MeshKeys)
+    model: ModelKeys = Field(default_factory=ModelKeys)
+    materials: dict[Name, MaterialKeys] = Field({}, description="materials of the scene by name")
+    bodies: dict[str, Name] = Field(
+        description='body, or pattern of bodies such as "ply_1_*" = material of the scene or built-in material'
+    )
+    boundaries: list[Boundary] = Field([], description="what is prescribed on groups of facets")
+    planes: list[Plane] = Field([], description="rigid planes that the bodies meet")
+    contact: Contact | None = None
+    load: Load = Field(default_factory=Load)
+    solver: Solver = Field(default_factory=Solver)
+    output: Output = Field(default_factory=Output)
+
+    _groups: Groups = PrivateAttr()
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self._groups.dimension
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the bodies of the geometry, in its order."""
+        return self._groups.bodies
+
+    @property
+    def facet_groups(self) -> tuple[str, ...]:
+        """Names of the groups of facets of the geometry."""
+        return self._groups.facets
+
+    @property
+    def electric(self) -> bool:
+        """Whether any body carries a potential."""
+        return any(self.oriented(name).permittivity is not None for name in set(self.bodies.values()))
+
+    @property
+    def sizes(self) -> MeshSizes:
+        """Sizes, order and kind of the elements to build; sizes that no one asks for are the body's own."""
+        size = self.mesh.size or (1.0 if isinstance(self.geometry, MeshFile) else self.geometry.size())
+        contact_size = self.mesh.contact_size or size
+        return MeshSizes(size, contact_size, self.mesh.order, self.mesh.cells, dict(self.mesh.size_factors))
+
+    @cached_property
+    def outcome(self) -> object | None:
+        """What the recipe of the geometry came to, to be shown in words; None for a geometry that is no recipe."""
+        return None if isinstance(self.geometry, MeshFile) else self.geometry.outcome()
+
+    def material(self, body: str) -> Material:
+        """The material of a body in global axes."""
+        return self.oriented(self.bodies[key_of(body, self.bodies)])
+
+    def oriented(self, name: str) -> Material:
+        """A material of the scene, or else a built-in one, with its axes along poling (3) and axis1."""
+        keys = self.materials.get(name)
+        material = keys.unrotated() if keys is not None else BUILT_IN[name]
+        poling = self.poling(name)
+        if poling is None:
+            return material
+        return material.rotated(_in_space(poling), _in_space(keys.axis1 if keys is not None else None))
+
+    def poling(self, name: str) -> list[float] | None:
+        """Direction of axis 3 of a material: as given, or up (y in 2D, z in 3D) where it matters."""
+        keys = self.materials.get(name)
+        if keys is not None and keys.poling is not None:
+            return keys.poling
+        piezo = (keys.unrotated() if keys is not None else BUILT_IN[name]).piezo
+        matters = piezo.any() or (keys is not None and keys.axis1 is not None)
+        return ([0.0, 1.0] if self.dimension == 2 else [0.0, 0.0, 1.0]) if matters else None
+
+
+def groups_of(geometry: Any) -> Groups:
+    """The names that a geometry offers. SceneError: a mesh file that cannot be read."""
+    if not isinstance(geometry, MeshFile):
+        try:
+            return Groups(geometry.dimension, geometry.bodies(), geometry.facet_groups())
+        except MeshError as error:
+            raise mesh_error(error) from None
+    if not geometry.file.is_file():
+        raise SceneError("geometry.file", f"{shown(str(geometry.file))}: no such file", "a gmsh mesh (MSH 2.2 or 4.1)")
+    try:
+        return Groups(*read_groups(geometry.file))
+    except MeshError as error:
+        raise mesh_error(error) from None
+
+
+def key_of(body: str, keys: Iterable[str]) -> str | None:
+    """The key that stands for a body: its name, or else the first pattern that fits it; None for none."""
+    keys = list(keys)
+    return body if body in keys else next((key for key in keys if "*" in key and fnmatchcase(body, key)), None)
+
+
+def _in_space(direction: list[float] | None) -> list[float] | None:
+    """The direction as a 3-vector."""
+    return None if direction is None else [*direction, 0.0][:3]
