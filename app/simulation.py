@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import logging
 import shutil
-import signal
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -20,14 +17,16 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import left_alone, touching_bodies
 from piezomat.discretization.model import Model
+from piezomat.interrupts import StopRequest, stop_on_signal
 from piezomat.meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import Progress
 from piezomat.results import restart
 from piezomat.results.atomic import replacing
+from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import Results
-from piezomat.results.quantities import Balance, columns, pair_columns, pair_table, row
+from piezomat.results.quantities import columns, pair_columns, pair_table, row
 from piezomat.results.ranks import described, shares
 from piezomat.scene import Scene, SceneError
 from piezomat.scene.errors import mesh_error, named
@@ -79,7 +78,7 @@ def run(
     cell (tests). Raises SceneError before any work, NotConverged or Interrupted with what converged kept in `out`.
     """
     timer = Timer()
-    with tempfile.TemporaryDirectory() as scratch, _stop_on_signal(comm) as stop:
+    with tempfile.TemporaryDirectory() as scratch, stop_on_signal(comm) as stop:
         saved = Path(comm.bcast(scratch)) / "mesh.msh"
         with timer("mesh"):
             bodies = _mesh(scene, comm, out, resume, saved, partition)
@@ -89,7 +88,7 @@ def run(
         problem = Problem(model, contact, timer)
         newton = Newton(problem, scene.solver)
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks)
-        balance = Balance(problem)
+        balance = EnergyBalance(problem)
         pairs = list(contact.pairs.listed.values()) if contact is not None else []
         if not resume:
             _check_overlap(problem)
@@ -115,7 +114,7 @@ class _Session:
     model: Model
     problem: Problem
     stepper: Stepper
-    balance: Balance
+    balance: EnergyBalance
     pairs: list[str]
 
     def __post_init__(self) -> None:
@@ -139,7 +138,7 @@ class _Session:
             on_root(self.comm, lambda: _install(saved, folder / "mesh.msh"))
             self._save_checkpoint()
 
-    def march(self, stop: _Stop) -> None:
+    def march(self, stop: StopRequest) -> None:
         """Take the load steps that are left, and write what the scene asks for."""
         todo = [step for step in steps(self.scene.load) if step.number > self.last_step]
         progress = Progress(self.comm, self.scene.title, self.last_step + len(todo), self.last_step)
@@ -150,12 +149,12 @@ class _Session:
                 log.info("%s", self.scene.outcome)
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
             for step in todo:
-                if stop.asked():
+                if stop.requested():
                     failure = Interrupted(f"interrupted: {self._kept()}")
                     break
                 began = perf_counter()
                 try:
-                    report = self.stepper.advance(step, lambda factors: self.balance.take())
+                    report = self.stepper.advance(step, lambda factors: self.balance.add_part())
                 except SolveError as error:
                     failure = NotConverged(f"{error}; {self._kept()}")
                     break
@@ -212,7 +211,7 @@ class _Session:
             factors = {name: self.history[-1][f"factor:{name}"] for name in self.scene.load.factors}
             self.problem.contact.move_planes(factors)
         self.stepper.revisit()
-        self.balance.remember_planes()
+        self.balance.restart_planes()
 
     def _conclude(self, converged: bool, reason: str) -> None:
         if self.results is None:
@@ -290,39 +289,6 @@ def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
     solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
     contact = "no contact" if problem.contact is None else problem.contact.described()
     return f"{model.unknowns} unknowns ({physics}), {contact}, {how}, {solver} linear solver"
-
-
-class _Stop:
-    """Whether any rank has been told to stop."""
-
-    def __init__(self, comm: MPI.Comm) -> None:
-        self.comm = comm
-        self.signal = 0
-
-    def asked(self) -> bool:
-        """Collective."""
-        return bool(self.comm.allreduce(self.signal, op=MPI.MAX))
-
-
-@contextmanager
-def _stop_on_signal(comm: MPI.Comm) -> Iterator[_Stop]:
-    """Turn SIGINT and SIGTERM into a wish to stop after the present step; the second one ends at once."""
-    stop = _Stop(comm)
-
-    def note(number: int, frame: Any) -> None:
-        stop.signal = number
-        for name in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(name, signal.SIG_DFL)
-
-    try:
-        before = {name: signal.signal(name, note) for name in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not in the main thread: the caller handles signals
-        before = {}
-    try:
-        yield stop
-    finally:
-        for name, handler in before.items():
-            signal.signal(name, handler)
 
 
 def _mesh(

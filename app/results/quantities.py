@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
@@ -13,6 +12,7 @@ from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.model import Condition, Model
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
+from piezomat.results.energy_balance import EnergyBalance
 from piezomat.solver.load_steps import Step, StepReport
 
 AXES = ("x", "y", "z")
@@ -47,68 +47,8 @@ def augments(model: Model) -> bool:
     return model.scene.contact is not None and model.scene.contact.augment is not None
 
 
-class Balance:
-    """Work done on the model and by its stabilization, summed over the parts of all steps so far. Collective.
-
-    The external work of a part is the mean of the nodal forces at its ends times the change of displacement plus the
-    mean of the potentials times the change of charge. Where bonds snap forces change too much for that: see
-    `snap_through_work`.
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.external_work = 0.0
-        self.stabilization = 0.0
-        self.forces = problem.state.duplicate()
-        self.forces.set(0.0)
-        self.remember_planes()
-
-    def remember_planes(self) -> None:
-        """Let the next part begin with what planes do at the last evaluation of contact."""
-        self.planes = self._of_planes()
-
-    def _of_planes(self) -> Array:
-        """Of each plane its force (d,), position (d,), charge and potential, (planes, 2 d + 2). Collective."""
-        contact = self.problem.contact
-        planes = contact.planes if contact is not None else []
-        d = self.problem.model.dim
-        values = np.zeros((len(planes), 2 * d + 2))
-        for row, p in zip(values, planes, strict=True):
-            row[:] = [*p.force, *p.offset, p.charge, p.potential or 0.0]
-        answers = [*range(d), 2 * d]
-        values[:, answers] = parallel.total(self.problem.comm, values[:, answers])
-        return values
-
-    def take(self) -> None:
-        """Add the part of a step that has just converged."""
-        problem = self.problem
-        block, d = problem.model.block, problem.model.dim
-        new, old = (v.array_r.reshape(-1, block) for v in (problem.residual_with_reactions, self.forces))
-        # Loads are part of `full`, which is therefore zero where nothing is fixed: the work of both is counted.
-        new = new - problem.loads.array_r.reshape(-1, block)
-        x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.converged_state))
-        work = 0.0
-        if problem.snap_through_work is None:
-            work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
-        if problem.model.electric:
-            work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
-        self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
-        if problem.snap_through_work is not None:
-            self.external_work += float(problem.snap_through_work[0])
-            self.stabilization += float(problem.snap_through_work[1])
-        self._take_planes()
-        self.stabilization += problem.stabilization_work()
-        self.forces.array[:] = new.ravel()
-
-    def _take_planes(self) -> None:
-        d, new = self.problem.model.dim, self._of_planes()
-        mean, change = 0.5 * (new + self.planes), new - self.planes
-        self.external_work += float((mean[:, :d] * change[:, d : 2 * d]).sum() + mean[:, -1] @ change[:, -2])
-        self.planes = new
-
-
 def row(
-    problem: Problem, balance: Balance, pairs: list[str], step: Step, report: StepReport, seconds: float
+    problem: Problem, balance: EnergyBalance, pairs: list[str], step: Step, report: StepReport, seconds: float
 ) -> dict[str, Any]:
     """One row of the history from the converged state. Collective; the same on all ranks."""
     model = problem.model
@@ -131,7 +71,7 @@ def row(
         contact = problem.contact.energies()
     energies["electric"] += contact.pop("electric")
     values |= energies | contact
-    values |= {"stabilization": balance.stabilization, "external_work": balance.external_work}
+    values |= {"stabilization": balance.stabilization_work, "external_work": balance.external_work}
     values |= {"newton": report.newton, "krylov": report.krylov, "cutbacks": report.cutbacks, "seconds": seconds}
     if augments(model):
         values["augmentations"] = report.augmentations

@@ -14,14 +14,15 @@ from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.results import checkpoint
-from piezomat.results.quantities import Balance, augments
+from piezomat.results.energy_balance import EnergyBalance
+from piezomat.results.quantities import augments
 from piezomat.solver.load_steps import Stepper
 
 Points = dict[str, tuple[NDArray[np.int64], Array]]
 
 
 def save(
-    folder: Path, step: int, problem: Problem, stepper: Stepper, balance: Balance, history: list[dict[str, Any]]
+    folder: Path, step: int, problem: Problem, stepper: Stepper, balance: EnergyBalance, history: list[dict[str, Any]]
 ) -> None:
     """Write the end of a step, problem and contact being evaluated there, to a folder of checkpoints. Collective.
 
@@ -40,13 +41,13 @@ def save(
         "penetration": contact.last_penetration if contact is not None else 0.0,
         "places": contact.points_per_facet() if contact is not None else 0,
         "external_work": balance.external_work,
-        "stabilization": balance.stabilization,
+        "stabilization": balance.stabilization_work,
     }
     points = _points(contact, augmented=augments(model)) if contact is not None else {}
     checkpoint.save(problem.comm, folder, step, nodal, points, scalars)
 
 
-def load(folder: Path, problem: Problem, stepper: Stepper, balance: Balance) -> tuple[int, list[dict[str, Any]]]:
+def load(folder: Path, problem: Problem, stepper: Stepper, balance: EnergyBalance) -> tuple[int, list[dict[str, Any]]]:
     """Take up the newest checkpoint of a folder; its step and the history so far. Collective.
 
     State and contact are then as they were, but for what their evaluation gives. Raises what `checkpoint.load` does.
@@ -57,7 +58,7 @@ def load(folder: Path, problem: Problem, stepper: Stepper, balance: Balance) -> 
     problem.state.array[:] = stored.nodal("state", ids).ravel()
     balance.forces.array[:] = stored.nodal("forces", ids).ravel()
     balance.external_work = stored.scalars["external_work"]
-    balance.stabilization = stored.scalars["stabilization"]
+    balance.stabilization_work = stored.scalars["stabilization"]
     stepper.size = stored.scalars["size"]
     stepper.last_motion = stored.scalars["motion"]
     if contact is not None:

@@ -1,0 +1,78 @@
+"""Work of the surroundings on the model and of its stabilization, summed over the converged parts of all steps.
+
+The trapezoidal rule: the external work of a part is the mean of the nodal forces at its ends times the change of
+displacement, plus the mean of the potentials times the change of charge. Planes count alike, with their force,
+position, potential and charge. Where bonds snap, forces change too much for that: `snap_through_work` takes the place
+of the mechanical part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from piezomat.assembly.problem import Problem
+from piezomat.forms.arrays import Array
+from piezomat.meshes import parallel
+
+
+class EnergyBalance:
+    """External work and stabilization work since the start of the run, pJ (2D: pJ/um). Methods are collective.
+
+    external_work (float, pJ): of boundaries, loads, planes and electrodes.
+    stabilization_work (float, pJ): of the springs on unconstrained bodies and of viscous bonds.
+    forces (Vec, uN and pC): nodal reactions and loads at the end of the last part.
+    planes (planes, 2 d + 2): force, position, charge and potential of each plane at the end of the last part.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.external_work = 0.0
+        self.stabilization_work = 0.0
+        self.forces = problem.state.duplicate()
+        self.forces.set(0.0)
+        self.restart_planes()
+
+    def restart_planes(self) -> None:
+        """Take the planes' forces at the last evaluation of contact as the start of the next part."""
+        self.planes = self._plane_values()
+
+    def add_part(self) -> None:
+        """Add the part of a step that has just converged."""
+        problem = self.problem
+        block, d = problem.model.block, problem.model.dim
+        new, old = (v.array_r.reshape(-1, block) for v in (problem.residual_with_reactions, self.forces))
+        # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
+        # and the reactions.
+        new = new - problem.loads.array_r.reshape(-1, block)
+        x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.converged_state))
+        work = 0.0
+        if problem.snap_through_work is None:
+            work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
+        if problem.model.electric:
+            work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
+        self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
+        if problem.snap_through_work is not None:
+            self.external_work += float(problem.snap_through_work[0])
+            self.stabilization_work += float(problem.snap_through_work[1])
+        self._add_planes()
+        self.stabilization_work += problem.stabilization_work()
+        self.forces.array[:] = new.ravel()
+
+    def _plane_values(self) -> Array:
+        """Force (d,), position (d,), charge and potential of each plane, (planes, 2 d + 2)."""
+        contact = self.problem.contact
+        planes = contact.planes if contact is not None else []
+        d = self.problem.model.dim
+        values = np.zeros((len(planes), 2 * d + 2))
+        for row, p in zip(values, planes, strict=True):
+            row[:] = [*p.force, *p.offset, p.charge, p.potential or 0.0]
+        summed = [*range(d), 2 * d]  # each rank has the force and charge of its own points
+        values[:, summed] = parallel.total(self.problem.comm, values[:, summed])
+        return values
+
+    def _add_planes(self) -> None:
+        d, new = self.problem.model.dim, self._plane_values()
+        mean, change = 0.5 * (new + self.planes), new - self.planes
+        self.external_work += float((mean[:, :d] * change[:, d : 2 * d]).sum() + mean[:, -1] @ change[:, -2])
+        self.planes = new
