@@ -57,8 +57,8 @@ def _unknowns(model: Model) -> str:
     if model.electric:
         without = [n for n, m in zip(model.bodies.bodies, model.materials, strict=True) if not m.electric]
         note = f"; no potential in {', '.join(without)} (no permittivity)" if without else ""
-        return f"{model.unknowns}: {displacements} and the potential at each node{note}"
-    return f"{model.unknowns}: {displacements} at each node; no potential, since no material has a permittivity"
+        return f"{model.unknowns.total}: {displacements} and the potential at each node{note}"
+    return f"{model.unknowns.total}: {displacements} at each node; no potential, since no material has a permittivity"
 
 
 def _law(model: Model) -> str:
@@ -70,8 +70,8 @@ def _law(model: Model) -> str:
     else:
         kinds.append("elastic")
     if model.dim == 2:
-        kinds.append(f"plane {model.scene.model.plane}")
-    kinds.append(f"{model.scene.model.kinematics} kinematics")
+        kinds.append(f"plane {model.plane}")
+    kinds.append(f"{model.kinematics} kinematics")
     return ", ".join(kinds)
 
 
@@ -156,14 +156,14 @@ def _solution(model: Model, contact: Interfaces | None) -> str:
         reason
         for reason, holds in (
             ("contact", contact is not None),
-            ("finite kinematics", model.scene.model.kinematics == "finite"),
+            ("finite kinematics", model.kinematics == "finite"),
         )
         if holds
     ]
     if not reasons:
         return "one linear solve a step, since nothing is nonlinear"
     text = f"Newton's method ({' and '.join(reasons)})"
-    if model.scene.model.kinematics == "small":
+    if model.kinematics == "small":
         text += "; the bulk's matrix is assembled once"
     return text
 
@@ -192,10 +192,10 @@ def _multigrid(model: Model) -> str:
 
 def _memory_mb(model: Model) -> float:
     """Base of a rank, four copies of the matrix, and the factors as George and Liu's estimates of fill grow."""
-    n = model.unknowns
+    n = model.unknowns.total
     neighbours = {2: (7, 20), 3: (15, 60)}[model.dim][model.bodies.order - 1]
-    matrix = 4 * 12 * n * neighbours * model.block
+    matrix = 4 * 12 * n * neighbours * model.unknowns.block
     factors = 0.0
     if is_direct(model):
-        factors = 8 * (6.0 * n * model.block * max(n, 2) ** 0.15 if model.dim == 2 else 16.0 * n ** (4 / 3))
+        factors = 8 * (6.0 * n * model.unknowns.block * max(n, 2) ** 0.15 if model.dim == 2 else 16.0 * n ** (4 / 3))
     return 170 * model.comm.size + (matrix + factors) / 1e6

@@ -228,7 +228,7 @@ class _Session:
                 "title": self.scene.title,
                 "converged": converged,
                 "reason": reason,
-                "dofs": self.model.unknowns,
+                "dofs": self.model.unknowns.total,
                 "cells": cells,
                 "bodies": list(self.model.bodies.bodies),
                 "timings": self.timer.timings(self.comm),
@@ -288,7 +288,7 @@ def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
     how = "one linear solve a step" if problem.is_linear else "Newton's method"
     solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
     contact = "no contact" if problem.contact is None else problem.contact.described()
-    return f"{model.unknowns} unknowns ({physics}), {contact}, {how}, {solver} linear solver"
+    return f"{model.unknowns.total} unknowns ({physics}), {contact}, {how}, {solver} linear solver"
 
 
 def _mesh(
@@ -313,7 +313,7 @@ def _check_overlap(problem: Problem) -> None:
     contact = problem.contact
     if contact is None:
         return
-    size = float(problem.model.part_thickness.min())
+    size = float(problem.model.parts.thickness.min())
     problem.begin_step(size)
     overlap = contact.overlap()
     if overlap > OVERLAP * size:

@@ -50,8 +50,8 @@ class Problem:
         self._evaluated: PETSc.Vec = fenicsx.petsc_vector(model.state)  # where forms are evaluated
         self.state: PETSc.Vec = self._evaluated.duplicate()
         self.state.set(0.0)
-        self.has_finite_kinematics = model.scene.model.kinematics == "finite"
-        self._test = ufl.TestFunction(model.space)
+        self.has_finite_kinematics = model.kinematics == "finite"
+        self._test = ufl.TestFunction(model.unknowns.space)
         self._coordinates = model.coordinate_vector()
         with timer("assembly"):
             self._compile()
@@ -69,7 +69,7 @@ class Problem:
         self._terms: ContactTerms | None = None
         self.snap_through_work: Array | None = None  # of the last part of a step, if it snapped
         self.is_linear = contact is None and not self.has_finite_kinematics
-        length = float(model.part_size.max())
+        length = float(model.parts.size.max())
         stiffest = contact.largest_penalty if contact is not None else 0.0
         # Forces of a strain of one, and of a penetration as large as the coordinates that the gaps are made from.
         self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
@@ -106,10 +106,10 @@ class Problem:
 
     def set_loads(self, factors: dict[str, float]) -> None:
         """Go to a load level: the loads and the values of the fixed unknowns (taken up by Newton's start value)."""
-        self.model.set_loads(factors)
+        self.model.loads.set_factors(factors)
         if self.contact is not None:
             self.contact.move_planes(factors)
-        self.prescribed_values = self.model.fixed_values(factors)
+        self.prescribed_values = self.model.constraints.values(factors)
         self._assemble_loads()
 
     def begin_step(self, margin: float) -> None:
@@ -139,7 +139,7 @@ class Problem:
                 if self.contact.evaluation_failed:
                     self.residual_with_reactions.set(np.nan)
         self.residual_with_reactions.copy(result)
-        result.array[self.model.fixed] = 0.0
+        result.array[self.model.constraints.fixed] = 0.0
 
     def linearize(self, x: PETSc.Vec) -> None:
         """Take up the tangent at x: `multiply`, `tangent` and `contact_terms` are then those of this state."""
@@ -154,7 +154,8 @@ class Problem:
         reserve = self.contact.candidate_nodes() if self.contact is not None else nodes
         with self.timer("assembly"):
             if self._matrix is None:
-                self._matrix = TangentMatrix(self.comm, self._bulk, self.model.block, self.model.fixed_global)
+                fixed = self.model.constraints.fixed_global
+                self._matrix = TangentMatrix(self.comm, self._bulk, self.model.unknowns.block, fixed)
             matrix, fresh = self._matrix.assemble(nodes, matrices, reserve)
             self._matrix.eliminate()
         return matrix, fresh
@@ -162,14 +163,14 @@ class Problem:
     def contact_terms(self) -> tuple[NDArray[np.int64], Array]:
         """Contact's part of the tangent: global nodes (k, n) of each pair of facets here, and its matrix."""
         if self.contact is None:
-            size = 2 * self.model.block
+            size = 2 * self.model.unknowns.block
             return np.zeros((0, 2), np.int64), np.zeros((0, size, size))
         return self.contact.global_nodes(self._terms), self._terms.matrices
 
     def bulk_stiffness(self) -> PETSc.Mat:
         """A copy of the tangent's bulk and grounding, the fixed unknowns eliminated."""
         bulk = self._bulk.copy()
-        bulk.zeroRowsColumns(self.model.fixed_global, diag=1.0)
+        bulk.zeroRowsColumns(self.model.constraints.fixed_global, diag=1.0)
         return bulk
 
     def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
@@ -188,7 +189,8 @@ class Problem:
         """How far the fixed unknowns are from where this load level wants them, zero elsewhere."""
         change = self.state.duplicate()
         change.set(0.0)
-        change.array[self.model.fixed] = self.prescribed_values - self.state.array_r[self.model.fixed]
+        fixed = self.model.constraints.fixed
+        change.array[fixed] = self.prescribed_values - self.state.array_r[fixed]
         return change
 
     def refresh(self) -> None:
@@ -197,7 +199,7 @@ class Problem:
 
     def norms(self, vector: PETSc.Vec) -> Array:
         """Euclidean norms of the displacement and the potential part of a vector, (1,) or (2,)."""
-        values = vector.array_r.reshape(-1, self.model.block) ** 2
+        values = vector.array_r.reshape(-1, self.model.unknowns.block) ** 2
         parts = [values[:, : self.model.dim].sum()]
         if self.model.electric:
             parts.append(values[:, -1].sum())
@@ -218,7 +220,7 @@ class Problem:
 
     def displacements(self, vector: PETSc.Vec) -> Array:
         """This rank's displacement part (nodes, d) of a vector."""
-        return vector.array_r.reshape(-1, self.model.block)[:, : self.model.dim]
+        return vector.array_r.reshape(-1, self.model.unknowns.block)[:, : self.model.dim]
 
     def maximum(self, value: float) -> float:
         """The largest of the ranks' values."""
@@ -229,7 +231,7 @@ class Problem:
         scale = self.model.potential_scale
         if scale is None:
             return 1.0
-        values = scale * self.state.array_r.reshape(-1, self.model.block)[:, -1]
+        values = scale * self.state.array_r.reshape(-1, self.model.unknowns.block)[:, -1]
         ends = np.array([values.max(initial=-np.inf), -values.min(initial=np.inf)])
         return max(float(parallel.largest(self.comm, ends).sum()), ROUNDING * scale)
 
@@ -257,7 +259,7 @@ class Problem:
 
     def _compile(self) -> None:
         model = self.model
-        kinematics = model.scene.model.kinematics
+        kinematics = model.kinematics
         self._tangent_form = dolfinx.fem.form(tangent_form(model.state, model.constitutive_field, kinematics))
         self._residual_form = None
         if self.has_finite_kinematics:
@@ -266,7 +268,7 @@ class Problem:
             None if e is None else dolfinx.fem.form(e)
             for e in stored_energies(model.state, model.constitutive_field, kinematics)
         ]
-        loads = model.load_form()
+        loads = model.loads.form(model.state, model.kinematics, model.potential_scale)
         self._load_form = None if loads.empty() else dolfinx.fem.form(loads)
         derivative = None if loads.empty() else load_tangent(loads, model.state)
         self._load_tangent = None if derivative is None else dolfinx.fem.form(derivative)
@@ -277,13 +279,21 @@ class Problem:
         if not model.unconstrained.any():
             return None
         strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
-        values = GROUNDING * model.part_modulus / model.part_size[:, None] ** 2 * model.unconstrained
+        modulus = np.array([self._modulus(members) for members in model.bodies.part_bodies])
+        values = GROUNDING * modulus / model.parts.size[:, None] ** 2 * model.unconstrained
         cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
         strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
         strength.x.scatter_forward()
         springs = self.state.duplicate()
         self._assemble_into(springs, dolfinx.fem.form(stabilization_form(self._test, strength)))
         return springs
+
+    def _modulus(self, members: list[int]) -> Array:
+        """Stiffness of the softest body of a part, MPa, and the same for the potential unknown."""
+        materials = [self.model.materials[i] for i in members]
+        permittivity = min((m.mean_permittivity for m in materials if m.electric), default=0.0)
+        scale = self.model.potential_scale or 0.0
+        return np.array([min(m.mean_stiffness for m in materials), permittivity * scale**2])
 
     def set_stabilization(self, factor: float) -> None:
         """Make the springs of floating parts `factor` times as strong as they are at first."""

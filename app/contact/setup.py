@@ -59,7 +59,7 @@ def interfaces_of(model: Model) -> Interfaces | None:
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
     geodesic = _geodesic(model, thickness) if thickness is not None else None
-    return Interfaces(model.comm, model.space, x, passes, planes, pairs, scale, geodesic)
+    return Interfaces(model.comm, model.unknowns.space, x, passes, planes, pairs, scale, geodesic)
 
 
 def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:
@@ -90,7 +90,7 @@ def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair]
     bodies, keys = model.bodies, model.scene.contact
     rule = PairingRule(len(bodies.part_bodies), ordered=keys.passes == 1, self_contact=keys.self_contact)
     outside = fenicsx.exterior_facets(model.mesh)
-    whole = surface(model.space, "outside", outside, bodies.order)
+    whole = surface(model.unknowns.space, "outside", outside, bodies.order)
     kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
     surfaces, components = {}, {}
     for kind in dict.fromkeys(kinds):
@@ -128,12 +128,11 @@ def _listed(model: Model) -> Pairs:
 
 def _geodesic(model: Model, thickness: Array) -> PETSc.Vec:
     """Geodesic distances of the nodes over the neighbourhood, in the first components of a vector like the state."""
-    neighbourhood = NEIGHBOURHOOD * thickness[model.node_part]
+    neighbourhood = NEIGHBOURHOOD * thickness[model.parts.node_part]
     vector = model.coordinate_vector()
-    values = np.zeros((model.owned, model.block))
-    values[:, 0] = (geodesic_distance(model.space, model.node_part, len(model.bodies.part_bodies)) / neighbourhood)[
-        : model.owned
-    ]
+    values = np.zeros((model.unknowns.owned, model.unknowns.block))
+    distance = geodesic_distance(model.unknowns.space, model.parts.node_part, len(model.bodies.part_bodies))
+    values[:, 0] = (distance / neighbourhood)[: model.unknowns.owned]
     vector.array[:] = values.ravel()
     return vector
 
@@ -144,7 +143,7 @@ def _fiber_thickness(model: Model) -> Array:
     That is a fiber's diameter and the thickness of a strip in two dimensions.
     """
     bodies = model.bodies
-    outside = surface(model.space, "outside", fenicsx.exterior_facets(model.mesh), bodies.order)
+    outside = surface(model.unknowns.space, "outside", fenicsx.exterior_facets(model.mesh), bodies.order)
     points = quadrature_points(outside.kind, outside.reference)
     part, parts = bodies.cell_part[outside.cells[points.facet]], len(bodies.part_bodies)
     area = parallel.total(model.comm, np.bincount(part, points.weight, parts))
@@ -159,13 +158,13 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     keys = model.scene.contact or ContactKeys()
     surface_here = _facets(model, "outside", fenicsx.exterior_facets(model.mesh))
     body = model.bodies.cell_body[surface_here.cells]
-    outside = SlaveFacets.of(model.space, surface_here, np.zeros(len(body), np.int64), body)
+    outside = SlaveFacets.of(model.unknowns.space, surface_here, np.zeros(len(body), np.int64), body)
     points = _points(keys, outside)
     size, body = _facet_sizes(outside)[points.facet], body[points.facet]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
-    low = parallel.least(model.comm, model.coordinates.min(axis=0, initial=np.inf))
-    high = parallel.largest(model.comm, model.coordinates.max(axis=0, initial=-np.inf))
+    low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
+    high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]))
@@ -190,7 +189,7 @@ def _place(plane: Plane, box: Array) -> tuple[Array, Array]:
 def _surface(model: Model, name: str, key: str) -> Surface:
     bodies = model.bodies
     if name in bodies.bodies:
-        facets = body_facets(model.space, bodies.cell_body, bodies.bodies.index(name))
+        facets = body_facets(model.unknowns.space, bodies.cell_body, bodies.bodies.index(name))
     else:
         facets = np.intersect1d(bodies.facets[name], fenicsx.exterior_facets(model.mesh))
     result = _facets(model, name, facets.astype(np.int32))
@@ -201,8 +200,8 @@ def _surface(model: Model, name: str, key: str) -> Surface:
 
 def _facets(model: Model, name: str, facets: NDArray[np.int32]) -> Surface:
     """The surface of some facets, curved if the scene asks for it."""
-    keys, flat = model.scene.contact, surface(model.space, name, facets, model.bodies.order)
-    return smoothed(model.space, flat) if keys is not None and keys.smoothing else flat
+    keys, flat = model.scene.contact, surface(model.unknowns.space, name, facets, model.bodies.order)
+    return smoothed(model.unknowns.space, flat) if keys is not None and keys.smoothing else flat
 
 
 def _points(keys: ContactKeys, group: SlaveFacets, shared: Array | None = None) -> SlavePoints:
@@ -233,13 +232,13 @@ def _pass(
     keys, comm = model.scene.contact, model.comm
     slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
     depth = _depth(model, slave, master)
-    numbers = global_numbers(model.space, master.nodes)
+    numbers = global_numbers(model.unknowns.space, master.nodes)
     masters = GhostFacets(numbers, master.orientation, master.key, master_component, master.rounding)
-    slaves = SlaveFacets.of(model.space, slave, slave_component, model.bodies.cell_body[slave.cells])
+    slaves = SlaveFacets.of(model.unknowns.space, slave, slave_component, model.bodies.cell_body[slave.cells])
     radius = largest_prescribed_motion(model) + NEAR * depth
     rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
-    shared = redistributed(comm, multiplicity(model.space, slave), rank) if unit else None
+    shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
     slaves = slaves.redistributed(comm, rank)
     points = _points(keys, slaves, shared)
     size = _facet_sizes(slaves)[points.facet]
@@ -316,7 +315,7 @@ def _depth(model: Model, *surfaces: Surface) -> float:
     """Half the least thickness of the parts that surfaces belong to, um."""
     here = {int(part) for group in surfaces for part in model.bodies.cell_part[group.cells]}
     parts = set().union(*model.comm.allgather(here))
-    return 0.5 * float(model.part_thickness[sorted(parts)].min())
+    return 0.5 * float(model.parts.thickness[sorted(parts)].min())
 
 
 def _bodies_of(model: Model, group: Surface) -> set[int]:

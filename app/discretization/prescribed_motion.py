@@ -19,9 +19,9 @@ def prescribed_motion(model: Model, after: Factors, before: Factors | None = Non
 
     before: the first of the two; None for the undeformed bodies, with every plane where it was before it was moved.
     """
-    moved = model.fixed % model.block < model.dim
-    change = model.fixed_values(after) - (0.0 if before is None else model.fixed_values(before))
-    largest = float(np.abs(change[moved]).max(initial=0.0))
+    constraints = model.constraints
+    change = constraints.values(after) - (0.0 if before is None else constraints.values(before))
+    largest = float(np.abs(change[constraints.fixed_displacements()]).max(initial=0.0))
     for plane in model.scene.planes:
         share = plane.motion_share(after) - (0.0 if before is None else plane.motion_share(before))
         largest = max([largest, *(abs(share * component) for component in plane.motion or [])])

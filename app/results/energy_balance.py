@@ -40,7 +40,7 @@ class EnergyBalance:
     def add_part(self) -> None:
         """Add the part of a step that has just converged."""
         problem = self.problem
-        block, d = problem.model.block, problem.model.dim
+        block, d = problem.model.unknowns.block, problem.model.dim
         new, old = (v.array_r.reshape(-1, block) for v in (problem.residual_with_reactions, self.forces))
         # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
         # and the reactions.

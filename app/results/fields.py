@@ -28,13 +28,13 @@ class FieldOutput:
     def __init__(self, model: Model) -> None:
         self.model = model
         self._grid = grid(model.mesh)
-        nodes, geometry = fenicsx.dofmap(model.space), fenicsx.geometry_dofmap(model.mesh)
+        nodes, geometry = fenicsx.dofmap(model.unknowns.space), fenicsx.geometry_dofmap(model.mesh)
         self._node = np.zeros(len(self._grid.points), np.int64)
         self._node[geometry] = nodes
-        state = strain_and_field(model.state, model.scene.model.kinematics)
+        state = strain_and_field(model.state, model.kinematics)
         self._state = fenicsx.center_expression(state, model.mesh)
         self._gradient: Any = None
-        if model.scene.model.kinematics == "finite":
+        if model.kinematics == "finite":
             gradient = ufl.grad(model.state)
             entries = [gradient[i, j] for i in range(model.dim) for j in range(model.dim)]
             self._gradient = fenicsx.center_expression(ufl.as_vector(entries), model.mesh)
@@ -42,7 +42,7 @@ class FieldOutput:
     def piece(self) -> FieldPiece:
         """This rank's fields at the model's present state. Collective."""
         model = self.model
-        values = model.state.x.array.reshape(-1, model.block)[self._node]
+        values = model.state.x.array.reshape(-1, model.unknowns.block)[self._node]
         cells = len(self._grid.cells)
         state = fenicsx.at_centers(self._state, model.mesh)
         strains = model.dim * (model.dim + 1) // 2
@@ -54,9 +54,7 @@ class FieldOutput:
             field[:, : model.dim] = model.potential_scale * state[:, strains:]
         for number, material in enumerate(model.materials):
             rows = model.bodies.cell_body == number
-            response = material.response(
-                state[rows, :strains], field[rows, : model.dim], model.dim, model.scene.model.plane
-            )
+            response = material.response(state[rows, :strains], field[rows, : model.dim], model.dim, model.plane)
             strain[rows], stress[rows], density[rows] = response
         if self._gradient is not None:
             gradient = fenicsx.at_centers(self._gradient, model.mesh).reshape(cells, model.dim, model.dim)

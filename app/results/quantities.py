@@ -9,7 +9,8 @@ import numpy as np
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
-from piezomat.discretization.model import Condition, Model
+from piezomat.discretization.constraints import Condition
+from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
 from piezomat.results.energy_balance import EnergyBalance
@@ -24,7 +25,7 @@ def columns(model: Model, pairs: list[str]) -> list[str]:
     """Names of the history's columns, in order."""
     names = ["step", "stage", *(f"factor:{name}" for name in model.scene.load.factors)]
     axes = AXES[: model.dim]
-    for on in model.groups:
+    for on in model.constraints.groups:
         names += [f"force_{axis}@{on}" for axis in axes]
         if model.electric:
             names += [f"charge@{on}", f"mean_potential@{on}"]
@@ -56,7 +57,7 @@ def row(
     values: dict[str, Any] = {"step": step.number, "stage": step.stage}
     values |= {f"factor:{name}": value for name, value in step.after.items()}
     axes = AXES[: model.dim]
-    for on, conditions in model.groups.items():
+    for on, conditions in model.constraints.groups.items():
         force, charge = reaction(problem, conditions, step.after)
         values |= {f"force_{axis}@{on}": float(f) for axis, f in zip(axes, force, strict=True)}
         if model.electric:
@@ -87,7 +88,7 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
             total[component] += problem.residual_with_reactions.array_r[unknowns].sum()
     total = parallel.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
-    applied = sum(model.applied(condition, factors) for condition in conditions)
+    applied = sum(model.loads.applied(condition, factors) for condition in conditions)
     return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
 
 

@@ -17,7 +17,7 @@ def shares(problem: Problem) -> dict[str, list[int]]:
     """
     contact = problem.contact
     here = {
-        "dofs": problem.model.owned * problem.model.block,
+        "dofs": problem.model.unknowns.owned * problem.model.unknowns.block,
         "contact_points": 0 if contact is None else sum(len(p.near_points) for p in contact.point_sets),
         "memory_mb": round(peak_memory_mb(MPI.COMM_SELF)),
     }

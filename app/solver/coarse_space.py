@@ -15,7 +15,8 @@ import scipy.sparse
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from piezomat.discretization.model import Model, rigid_modes
+from piezomat.discretization.model import Model
+from piezomat.discretization.rigid_bodies import rigid_modes
 
 NODES = 150.0  # in a box that a body fills; half as many or twice as many cost the same
 RELAXATION = 4.0 / 3.0  # over the largest eigenvalue of D^-1 A
@@ -50,8 +51,8 @@ def interpolation(model: Model, stiffness: PETSc.Mat) -> PETSc.Mat:
 
 def _boxes(model: Model) -> list[NDArray[np.int64]]:
     """The nodes of this rank in each box of each part of the model."""
-    x, part = model.coordinates[: model.owned], model.node_part[: model.owned]
-    edge = (NODES * model.volume * model.block / model.unknowns) ** (1.0 / model.dim)
+    x, part = model.unknowns.coordinates[: model.unknowns.owned], model.parts.node_part[: model.unknowns.owned]
+    edge = (NODES * model.parts.volume * model.unknowns.block / model.unknowns.total) ** (1.0 / model.dim)
     keys = np.column_stack([part, np.floor(x / edge).astype(np.int64)])
     _, box, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     return np.split(np.argsort(box.ravel(), kind="stable"), np.cumsum(count))[:-1]
@@ -59,13 +60,13 @@ def _boxes(model: Model) -> list[NDArray[np.int64]]:
 
 def _motions(model: Model) -> PETSc.Mat:
     """Orthonormal rigid motions of the boxes at the nodes, nothing where a displacement is fixed."""
-    d, n = model.dim, model.owned
-    free = np.ones(n * model.block)
-    free[model.fixed] = 0.0
-    free = free.reshape(n, model.block)[:, :d, None]
+    d, n = model.dim, model.unknowns.owned
+    free = np.ones(n * model.unknowns.block)
+    free[model.constraints.fixed] = 0.0
+    free = free.reshape(n, model.unknowns.block)[:, :d, None]
     rows, columns, values, count = [], [], [], 0
     for nodes in _boxes(model):
-        away = model.coordinates[nodes] - model.coordinates[nodes].mean(axis=0)
+        away = model.unknowns.coordinates[nodes] - model.unknowns.coordinates[nodes].mean(axis=0)
         modes = free[nodes] * rigid_modes(away / max(np.abs(away).max(), TINY))
         basis, size, _ = np.linalg.svd(modes.reshape(len(nodes) * d, -1), full_matrices=False)
         basis = basis[:, size > DEPENDENT * np.sqrt(len(nodes))]

@@ -39,7 +39,7 @@ class Condensation:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.comm: MPI.Comm = problem.comm
-        self.block = problem.model.block
+        self.block = problem.model.unknowns.block
         self.candidates = np.zeros(0, np.int64)
         motion = largest_prescribed_motion(problem.model) or problem.contact.least_search_radius()
         self._ahead = problem.contact.candidate_distance = AHEAD * motion
@@ -49,7 +49,7 @@ class Condensation:
         self._parts = self._divide()
         self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
         unknowns = _unknowns(self._nodes, self.block)
-        self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.fixed_global)))
+        self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.constraints.fixed_global)))
         self._exchange = GhostScatter(problem.state, PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF))
 
     def update(self, limit: float) -> bool:
@@ -222,9 +222,9 @@ class Condensation:
     def _divide(self) -> list[Integers]:
         """Whole parts for each rank, the largest first to the one with the least; the nodes of each, sorted."""
         model = self.problem.model
-        start = model.space.dofmap.index_map.local_range[0]
-        owned = model.node_part[: model.owned]
-        count = self.comm.allreduce(np.bincount(owned, minlength=len(model.part_size)), op=MPI.SUM)
+        start = model.unknowns.space.dofmap.index_map.local_range[0]
+        owned = model.parts.node_part[: model.unknowns.owned]
+        count = self.comm.allreduce(np.bincount(owned, minlength=len(model.parts.size)), op=MPI.SUM)
         load = np.zeros(self.comm.size)
         rank_of = np.zeros(len(count), int)
         for part in np.argsort(-count, kind="stable"):

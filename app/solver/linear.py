@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.discretization.model import Model, rigid_modes
+from piezomat.discretization.model import Model
+from piezomat.discretization.rigid_bodies import rigid_modes
 from piezomat.scene.sections import Solver
 from piezomat.solver import coarse_space as boxes
 from piezomat.solver.condensation import Condensation
@@ -41,7 +42,7 @@ def is_direct(model: Model) -> bool:
     kind = model.scene.solver.kind
     if kind != "auto":
         return kind == "direct"
-    return model.dim == 2 or model.unknowns <= direct_limit_3d(model)
+    return model.dim == 2 or model.unknowns.total <= direct_limit_3d(model)
 
 
 def linear_solver(problem: Problem, keys: Solver) -> Direct | Multigrid:
@@ -66,7 +67,7 @@ class _Operator:
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent times x."""
-        fixed = self.problem.model.fixed
+        fixed = self.problem.model.constraints.fixed
         x.copy(self._free)
         self._free.array[fixed] = 0.0
         self.problem.multiply(self._free, result)
@@ -111,7 +112,7 @@ class Direct:
         self.problem.linearize(x)
         if self.condensation is not None:
             with self.problem.timer("linear_solve"):
-                share = max(CONDENSED_SHARE * self.problem.model.unknowns, CONDENSED_ALWAYS)
+                share = max(CONDENSED_SHARE * self.problem.model.unknowns.total, CONDENSED_ALWAYS)
                 few = self.condensation.update(min(CONDENSED_LIMIT, share))
             if few:
                 return self._operator.matrix, self._operator.matrix
@@ -179,9 +180,9 @@ class Multigrid:
         model = self.problem.model
         if not model.electric:
             return
-        start = model.space.dofmap.index_map.local_range[0]
-        nodes = np.arange(start, start + model.owned)
-        d, block = model.dim, model.block
+        start = model.unknowns.space.dofmap.index_map.local_range[0]
+        nodes = np.arange(start, start + model.unknowns.owned)
+        d, block = model.dim, model.unknowns.block
         displacement = (nodes[:, None] * block + np.arange(d)).ravel().astype(PETSc.IntType)
         u = PETSc.IS().createGeneral(displacement, comm=self.problem.comm)
         u.setBlockSize(d)
@@ -251,11 +252,11 @@ class Multigrid:
 
 
 def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
-    x = model.coordinates[: model.owned]
+    x = model.unknowns.coordinates[: model.unknowns.owned]
     modes: NDArray[np.float64] = rigid_modes(x)
     vectors = []
     for k in range(modes.shape[2]):
-        vector = PETSc.Vec().createMPI((model.owned * model.dim, None), bsize=model.dim, comm=comm)
+        vector = PETSc.Vec().createMPI((model.unknowns.owned * model.dim, None), bsize=model.dim, comm=comm)
         vector.array[:] = modes[:, :, k].ravel()
         vectors.append(vector)
     for i, vector in enumerate(vectors):

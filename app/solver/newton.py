@@ -143,7 +143,7 @@ class Newton:
                     raise SolveError(FLIPS)
             else:
                 margin = 2.0 * margin
-            if problem.motion() > FLOWN * problem.model.part_size.max():
+            if problem.motion() > FLOWN * problem.model.parts.size.max():
                 raise SolveError("a body flies away: it moves by more than its size in one step")
             problem.pair(margin)
         raise SolveError("the contact surfaces kept moving further than the contact search had looked")
@@ -182,7 +182,7 @@ class Newton:
         Without it a boundary would jump while the rest stays, and the first residual would be that of a torn body.
         """
         problem = self.problem
-        fixed = problem.model.fixed
+        fixed = problem.model.constraints.fixed
         problem.residual(problem.state, self._residual)
         change = problem.prescribed_change()
         self._residual.copy(self._right)
@@ -242,7 +242,7 @@ class Newton:
                 self._operators = self.linear.linearize(x)  # with more candidates
             problem.linearized_contact_residual(change, self._trial)
             self._right.axpy(-1.0, self._trial)
-            self._right.array[problem.model.fixed] = 0.0
+            self._right.array[problem.model.constraints.fixed] = 0.0
             with problem.timer("linear_solve"):
                 ksp.setOperators(*self._operators)
                 ksp.solve(self._right, self._trial)

@@ -30,8 +30,8 @@ def snap_through_work(problem: Problem) -> Array | None:
     end = problem.state.copy()
     change = problem.displacements(end - problem.converged_state)
     fixed = np.zeros(len(problem.residual_with_reactions.array_r), bool)
-    fixed[problem.model.fixed] = True
-    fixed = fixed.reshape(-1, problem.model.block)[:, : problem.model.dim]
+    fixed[problem.model.constraints.fixed] = True
+    fixed = fixed.reshape(-1, problem.model.unknowns.block)[:, : problem.model.dim]
     dragged, contact.viscous_regularization = contact.viscous_regularization, False
 
     def power(share: float) -> Array:
@@ -73,7 +73,9 @@ def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:
     model = problem.model
     if not model.electric:
         return 0.0
-    twice, charge = (v.reshape(-1, model.block)[:, -1] for v in (end.array_r + problem.converged_state.array_r, change))
+    twice, charge = (
+        v.reshape(-1, model.unknowns.block)[:, -1] for v in (end.array_r + problem.converged_state.array_r, change)
+    )
     return problem.comm.allreduce(float(-0.5 * twice @ charge), op=MPI.SUM)
 
 

@@ -98,4 +98,4 @@ class Springs:
     def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
         """Whether a part may have flown through another: its springs are too weak to hold it or to tell."""
         problem = self.problem
-        return problem.motion(since) > prescribed + THROUGH * problem.model.part_thickness.min()
+        return problem.motion(since) > prescribed + THROUGH * problem.model.parts.thickness.min()

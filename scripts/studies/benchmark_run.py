@@ -16,7 +16,7 @@ with importing():  # as the command line does
 done = run(Scene.load(sys.argv[1]), MPI.COMM_WORLD)
 last = done.history[-1]
 answer = {
-    "unknowns": done.model.unknowns,
+    "unknowns": done.model.unknowns.total,
     "newton": [row["newton"] for row in done.history],
     "force": last["force_y@top" if done.model.dim == 2 else "force_z@top"],
     "potential": last.get("mean_potential@top"),

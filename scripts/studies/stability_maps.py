@@ -76,7 +76,7 @@ def hertz_error(run: Run, approach: float) -> float:
     if points.force <= 0.0:
         return math.inf
     width = 2.0 * math.sqrt(points.spread([0])) / ref.hertz_line(load, RELATIVE, MODULUS).size - 1.0
-    kinematics = run.model.scene.model.kinematics
+    kinematics = run.model.kinematics
     return max(abs(width), abs(load / FORCES[kinematics, approach] - 1.0))
 
 

@@ -39,11 +39,11 @@ def force(approach: float, facet: float, order: int, kinematics: str) -> float:
     bodies = create(MPI.COMM_SELF, scene.geometry, scene.sizes)
     model = Model(scene, bodies)
     problem = Problem(model, None, Timer())
-    touching = dolfinx.fem.locate_dofs_topological(model.space, 1, bodies.facets["lower_contact"])
-    lower = np.flatnonzero(np.repeat(model.node_part == model.node_part[touching[0]], 2))
-    fixed = np.intersect1d(model.fixed, lower)
+    touching = dolfinx.fem.locate_dofs_topological(model.unknowns.space, 1, bodies.facets["lower_contact"])
+    lower = np.flatnonzero(np.repeat(model.parts.node_part == model.parts.node_part[touching[0]], 2))
+    fixed = np.intersect1d(model.constraints.fixed, lower)
     up = np.setdiff1d(2 * touching + 1, fixed)
-    way = -model.coordinates[up // 2, 1] - 0.5 * approach  # to the plane
+    way = -model.unknowns.coordinates[up // 2, 1] - 0.5 * approach  # to the plane
     active = way < 0.0
     for _ in range(ITERATIONS):
         problem.residual(problem.state, problem.state.duplicate())

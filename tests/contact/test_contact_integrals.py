@@ -250,7 +250,7 @@ class Stack:
         self.contact = interfaces_of(self.model)
         only = self.contact.surface_pairs[0]
         self.upper, self.lower = np.unique(only.slave.nodes), np.unique(only.master.nodes)
-        x = self.model.coordinates[:, : dim - 1]
+        x = self.model.unknowns.coordinates[:, : dim - 1]
         distance, partner = cKDTree(x[self.lower]).query(x[self.upper])
         assert distance.max() < 1e-12
         self.partner = self.lower[partner]  # of each upper node
@@ -275,12 +275,12 @@ class Stack:
     def ufl_terms(self, values: Array) -> tuple[Array, Array]:
         """The same from a UFL form on the upper block's facets, the lower's values carried over node by node."""
         model, d = self.model, self.dim
-        c = model.block
+        c = model.unknowns.block
         space = fenicsx.lagrange(model.mesh, self.bodies.order, 2 * c)
         count = len(values)
         here = np.zeros(count, np.int64)  # node of `space` at each node of the model
-        here[fenicsx.dofmap(model.space)] = fenicsx.dofmap(space)
-        np.testing.assert_allclose(node_coordinates(space)[here], model.coordinates, atol=1e-14)
+        here[fenicsx.dofmap(model.unknowns.space)] = fenicsx.dofmap(space)
+        np.testing.assert_allclose(node_coordinates(space)[here], model.unknowns.coordinates, atol=1e-14)
         state = dolfinx.fem.Function(space)
         at = state.x.array.reshape(-1, 2 * c)
         at[here[self.upper], :c] = values[self.upper]
@@ -353,10 +353,10 @@ def interface_forms(
 def test_contact_is_an_interface_form(dim: int, cells: str, order: int, rng: np.random.Generator) -> None:
     """On matching meshes residual and tangent agree with UFL's, entry by entry, pressed, apart and in between."""
     stack = Stack(MPI.COMM_SELF, dim, cells, order)
-    c = stack.model.block
+    c = stack.model.unknowns.block
     upper = stack.upper
     for state in ("reference", "uneven"):
-        values = np.zeros((len(stack.model.coordinates), c))
+        values = np.zeros((len(stack.model.unknowns.coordinates), c))
         if state == "uneven":
             values[upper, dim - 1] = rng.uniform(-0.5, 2.0, len(upper)) * DEPTH
             values[:, dim] = rng.uniform(-0.03, 0.03, len(values))  # makes electric and mechanical terms of one size

@@ -178,7 +178,7 @@ def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Interf
     """A hairpin whose nodes (n, 3) have moved, its contact there, and where that has them."""
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
-    x, local = model.coordinates, np.zeros((len(model.coordinates), model.block))
+    x, local = model.unknowns.coordinates, np.zeros((len(model.unknowns.coordinates), model.unknowns.block))
     local[:, :3] = motion(x)
     state = model.coordinate_vector()
     state.array[:] = local.ravel()
@@ -259,7 +259,7 @@ def test_distance_along_a_fiber_is_that_from_its_end(comm: MPI.Comm, shared_tmp_
     for on in (comm, MPI.COMM_SELF):
         scene = pressed_hairpin(path, bodies="*")
         model = Model(scene, create(on, scene.geometry, scene.sizes))
-        x, distance = model.coordinates, geodesic_distance(model.space, model.node_part, 2)
+        x, distance = model.unknowns.coordinates, geodesic_distance(model.unknowns.space, model.parts.node_part, 2)
         found.append(dict(zip(map(bytes, np.ascontiguousarray(x)), distance, strict=True)))
         for start, end, y, radius in ((0.0, 6.0, 0.0, RADIUS), (1.0, 3.0, 3.0, 0.2)):
             of = np.abs(x[:, 1] - y) < 1.0

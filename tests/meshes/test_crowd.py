@@ -94,7 +94,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     contact.detect(state, margin)
     contact.evaluate(state, tangent=False)
     (p,) = contact.surface_pairs
-    position = model.coordinates + state.array_r.reshape(-1, model.block)[:, :3]
+    position = model.unknowns.coordinates + state.array_r.reshape(-1, model.unknowns.block)[:, :3]
     facets, own = position[p.slave.nodes], p.points.facet
     points = np.einsum("mk,mkd->md", p.points.shape, facets[own])
     normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
@@ -132,12 +132,12 @@ def test_what_comes_near_is_found_without_a_search_of_all(
     looked = []
     monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[1])), closest_facets(*a))[1])
     state = model.coordinate_vector()
-    motion, margin = np.zeros((len(model.part_size), model.block)), 1.2
+    motion, margin = np.zeros((len(model.parts.size), model.unknowns.block)), 1.2
     work, acting, new = np.zeros(2, int), [], 0
     for step in range(8):
         if step:
             motion[:, :3] = np.clip(motion[:, :3] + 0.02 * rng.standard_normal((len(motion), 3)), -0.15, 0.15)
-        state.array[:] = motion[model.node_part[: model.owned]].ravel()
+        state.array[:] = motion[model.parts.node_part[: model.unknowns.owned]].ravel()
         found = []
         for i, c in enumerate((contact, anew)):
             if i or not step:

@@ -147,8 +147,8 @@ def test_stack_against_its_closed_form() -> None:
 def test_bimorph_against_its_closed_form() -> None:
     finished = run("bimorph")
     model = finished.model
-    tip = np.isclose(model.coordinates[:, 0], 1e5)
-    deflection = model.state.x.array.reshape(-1, model.block)[tip, 1].mean()
+    tip = np.isclose(model.unknowns.coordinates[:, 0], 1e5)
+    deflection = model.state.x.array.reshape(-1, model.unknowns.block)[tip, 1].mean()
     exact = ref.bimorph_deflection(ref.PVDF_TZOU, 1e5, 1e3, 1.0, coupled=True)
     assert deflection == pytest.approx(exact, rel=1e-3)
     assert f"{exact:.6f} um" in header("bimorph") and f"{deflection:.4f} um" in header("bimorph")

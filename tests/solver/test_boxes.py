@@ -11,7 +11,8 @@ from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
-from piezomat.discretization.model import Model, rigid_modes
+from piezomat.discretization.model import Model
+from piezomat.discretization.rigid_bodies import rigid_modes
 from piezomat.meshes.body_mesh import create
 from piezomat.scene import Scene
 from piezomat.simulation import run
@@ -58,7 +59,9 @@ def test_the_coarse_space_holds_rigid_motions_of_each_body(comm: MPI.Comm) -> No
     assert coarse.size[1] < 0.5 * coarse.size[0]
     ksp = _conjugate_gradients(coarse.transposeMatMult(coarse))  # of the normal equations: the nearest coarse function
     for part in range(2):
-        modes = rigid_modes(model.coordinates[: model.owned]) * (model.node_part[: model.owned] == part)[:, None, None]
+        owned = model.unknowns.owned
+        modes = rigid_modes(model.unknowns.coordinates[:owned])
+        modes *= (model.parts.node_part[:owned] == part)[:, None, None]
         for k in range(modes.shape[2]):
             mode, rest, found = coarse.createVecLeft(), coarse.createVecLeft(), coarse.createVecRight()
             mode.array[:] = modes[:, :, k].ravel()

@@ -332,7 +332,7 @@ def thrown(predict: Any) -> Any:
     def changed(newton: solver.Newton, *given: Any, **more: Any) -> None:
         predict(newton, *given, **more)
         state = newton.problem.state
-        upper = newton.problem.model.coordinates[: newton.problem.model.owned, 1] > 0.0
+        upper = newton.problem.model.unknowns.coordinates[: newton.problem.model.unknowns.owned, 1] > 0.0
         state.array.reshape(-1, 2)[upper, 0] += next(times, 0.0)
 
     return changed

@@ -216,9 +216,9 @@ def test_the_bimorph_bends_as_published(comm: MPI.Comm) -> None:
         ],
     )
     model = run(scene, comm).model
-    along_middle = np.isclose(model.coordinates[:, 1], 0.5)
-    x = model.coordinates[along_middle, 0]
-    deflection = model.state.x.array.reshape(-1, model.block)[along_middle, 1]
+    along_middle = np.isclose(model.unknowns.coordinates[:, 1], 0.5)
+    x = model.unknowns.coordinates[along_middle, 0]
+    deflection = model.state.x.array.reshape(-1, model.unknowns.block)[along_middle, 1]
     places = np.arange(20.0, 101.0, 20.0)
     measured = np.array([deflection[np.isclose(x, place)].item() for place in places])
     coupled, theory = (

@@ -1,0 +1,88 @@
+"""The unknowns of a model: displacement and, with permittivity, potential at the nodes of a blocked Lagrange space."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dolfinx
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array, Integers
+from piezomat.meshes import parallel
+from piezomat.meshes.contact.surface import node_coordinates
+
+
+class Unknowns:
+    """Which unknowns there are, which rank owns them, and where they stand in distributed vectors.
+
+    A vector holds the unknowns node by node: the components of the displacement (um), then, in an electric model, the
+    potential divided by `Model.potential_scale`. A rank's nodes are the owned ones, then the ghosts.
+
+    space: blocked Lagrange space of the mesh's order
+    comm: communicator of the mesh
+    dim: components of the displacement
+    electric: whether each node has a potential
+    block: unknowns of a node, dim or dim + 1
+    owned: number of nodes that this rank owns
+    local: number of nodes that this rank holds, ghosts included
+    first_node: global number of the first owned node
+    total: number of unknowns over all ranks
+    coordinates (local, dim), um: the nodes in the undeformed state
+    """
+
+    def __init__(self, mesh: Any, order: int, *, electric: bool) -> None:
+        self.comm: MPI.Comm = mesh.comm
+        self.dim: int = mesh.geometry.dim
+        self.electric = electric
+        self.block: int = self.dim + electric
+        self.space = fenicsx.lagrange(mesh, order, self.block)
+        index_map = self.space.dofmap.index_map
+        self.owned: int = index_map.size_local
+        self.local: int = index_map.size_local + index_map.num_ghosts
+        self.first_node: int = index_map.local_range[0]
+        self.total: int = index_map.size_global * self.block
+        self.coordinates = node_coordinates(self.space)
+
+    def by_node(self, vector: PETSc.Vec) -> Array:
+        """View (owned, block) of this rank's values of a vector, for reading."""
+        return vector.array_r.reshape(self.owned, self.block)
+
+    def displacements(self, vector: PETSc.Vec) -> Array:
+        """View (owned, dim) of this rank's displacement part of a vector, for reading."""
+        return self.by_node(vector)[:, : self.dim]
+
+    def potentials(self, vector: PETSc.Vec) -> Array:
+        """View (owned,) of this rank's potential part of a vector, for reading."""
+        return self.by_node(vector)[:, self.dim]
+
+    def norms(self, vector: PETSc.Vec) -> Array:
+        """Euclidean norms of the displacement part and, in an electric model, the potential part. Collective."""
+        squares = self.by_node(vector) ** 2
+        parts = [squares[:, : self.dim].sum()]
+        if self.electric:
+            parts.append(squares[:, -1].sum())
+        return np.sqrt(parallel.total(self.comm, np.array(parts)))
+
+    def numbers(self, nodes: Integers) -> NDArray[np.int32]:
+        """Numbers (k * block,) of all unknowns of nodes (k,): global of global nodes, local of local nodes."""
+        return (nodes[:, None] * self.block + np.arange(self.block)).ravel().astype(PETSc.IntType)
+
+    def displacement_numbers(self) -> NDArray[np.int32]:
+        """Global numbers (owned * dim,) of the owned displacements."""
+        return (self._owned_nodes()[:, None] * self.block + np.arange(self.dim)).ravel().astype(PETSc.IntType)
+
+    def potential_numbers(self) -> NDArray[np.int32]:
+        """Global numbers (owned,) of the owned potentials."""
+        return (self._owned_nodes() * self.block + self.dim).astype(PETSc.IntType)
+
+    def nodes_of(self, facets: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Owned nodes on facets of any rank. Collective."""
+        nodes = dolfinx.fem.locate_dofs_topological(self.space, self.dim - 1, facets)
+        return np.asarray(nodes[nodes < self.owned], np.int64)
+
+    def _owned_nodes(self) -> NDArray[np.int64]:
+        return np.arange(self.first_node, self.first_node + self.owned)
