@@ -1,4 +1,4 @@
-"""The commands `run plan mesh view resume schema`; see SCENE.md for what each does and its exit status.
+"""The commands `run plan mesh view resume schema`; README.md says what each does and its exit status.
 
 Rank 0 alone reads and prints. What it finds, a scene or an error, goes to every rank, so that all exit alike.
 DOLFINx, gmsh and VTK are imported by the commands that need them: a wrong scene is told at once.

@@ -15,7 +15,7 @@ from piezomat.meshes.shapes import FacingHalves
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
 
-# The example of the contract, SCENE.md, word for word but for the comments.
+# A scene with most of the sections and keys.
 CONTRACT = """
 title = "Two crossed PVDF fibers, pressed and pulled apart"
 
