@@ -16,7 +16,7 @@ __version__ = "0.1.0"
 
 # Public names and the modules that define them.
 _MODULES = {
-    "BUILT_IN": "piezomat.forms.materials",
+    "BUILT_IN": "piezomat.forms.material_library",
     "Material": "piezomat.forms.materials",
     "Scene": "piezomat.scene",
     "SceneError": "piezomat.scene",

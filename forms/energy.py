@@ -7,7 +7,8 @@ from typing import Any
 import ufl
 
 from piezomat.forms import fenicsx
-from piezomat.forms.piezo import Kinematics, law_matrix, strain_and_field, volume_measure
+from piezomat.forms.kinematics import Kinematics, strain_and_field, strain_components
+from piezomat.forms.piezo import symmetric_matrix, volume_measure
 
 
 def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:
@@ -16,9 +17,9 @@ def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any 
     Their sum is the internal energy, pJ (2D: per um of depth): the piezoelectric terms of T.S and D.E cancel.
     """
     s = strain_and_field(w, kinematics)
-    matrix = law_matrix(law, len(s))
+    matrix = symmetric_matrix(law, len(s))
     dim = fenicsx.dimension(w)
-    strains = dim * (dim + 1) // 2
+    strains = strain_components(dim)
 
     def half_square(indices: range) -> Any:
         return 0.5 * sum(matrix[i, j] * s[i] * s[j] for i in indices for j in indices) * volume_measure(w)

@@ -1,6 +1,7 @@
-"""All that differs between versions of DOLFINx, and nothing else: 0.5 (Debian 12), 0.9 (Debian 13), 0.11 (PyPI).
+"""All that depends on the version of DOLFINx (0.5 in Debian 12, 0.9 in Debian 13, 0.11 on PyPI) and of its PETSc.
 
-`forms` and `meshes` import this module too; it imports nothing of the project.
+This is what has changed from one to another, and what lies below the public interface (`dolfinx.cpp`, layouts of
+arrays), which may change. Nothing else asks for a version. The module imports nothing of the project.
 """
 
 from __future__ import annotations
@@ -161,13 +162,6 @@ def original_cells(mesh: Any) -> NDArray[np.int64]:
     return np.asarray(mesh.topology.original_cell_index, np.int64)
 
 
-def exterior_facets(mesh: Any) -> NDArray[np.int32]:
-    """Local indices of the facets of this rank that lie on the boundary of the mesh. Collective."""
-    tdim = mesh.topology.dim
-    mesh.topology.create_connectivity(tdim - 1, tdim)
-    return np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology), np.int32)
-
-
 def facet_closure(space: Any) -> list[NDArray[np.int32]]:
     """Local nodes of the reference cell that lie on each of its facets."""
     dim = space.mesh.topology.dim
@@ -245,22 +239,9 @@ def sum_over_ranks(space: Any, values: NDArray[np.float64]) -> NDArray[np.float6
     return total.x.array[order]
 
 
-def integral(form: Any) -> float:
-    """Value of a compiled functional, summed over the ranks. Collective."""
-    return form.mesh.comm.allreduce(dolfinx.fem.assemble_scalar(form), op=MPI.SUM)
-
-
 def petsc_vector(function: Any) -> Any:
     """The PETSc vector that shares a function's values, ghosts included."""
     return function.x.petsc_vec if NEW else function.vector
-
-
-def center_expression(value: Any, mesh: Any) -> Any:
-    """A UFL vector compiled for evaluation at the centre of every cell. Collective."""
-    dim = mesh.topology.dim
-    simplex = cell_name(mesh) in ("triangle", "tetrahedron")
-    center = np.full((1, dim), 1.0 / (dim + 1) if simplex else 0.5)
-    return dolfinx.fem.Expression(value, center)
 
 
 def at_centers(expression: Any, mesh: Any) -> NDArray[np.float64]:
@@ -268,15 +249,3 @@ def at_centers(expression: Any, mesh: Any) -> NDArray[np.float64]:
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     values = expression.eval(mesh, cells) if NEW else expression.eval(cells)
     return values.reshape(len(cells), values.shape[-1])
-
-
-def cell_volumes(mesh: Any) -> NDArray[np.float64]:
-    """Volume (2D: area) of each local cell, from its vertices and the map's Jacobian at its centre."""
-    dim = mesh.topology.dim
-    vertices = mesh.geometry.x[geometry_dofmap(mesh)][:, : {2: 4, 3: 8}[dim], :dim]
-    if cell_name(mesh) in ("triangle", "tetrahedron"):
-        edges = vertices[:, 1 : dim + 1] - vertices[:, :1]
-        return np.abs(np.linalg.det(edges)) / (2.0 if dim == 2 else 6.0)
-    # Tensor vertices are numbered with the first axis running fastest.
-    signs = np.array([[1.0 if (v >> axis) & 1 else -1.0 for v in range(2**dim)] for axis in range(dim)])
-    return np.abs(np.linalg.det(np.einsum("av,cvi->cai", signs, vertices) / 2 ** (dim - 1)))

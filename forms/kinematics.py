@@ -1,12 +1,63 @@
-"""From referential to current quantities: Cauchy stress and the fields as a microscope would see them."""
+"""Kinematics: strains and fields of the unknown, and the way from referential to current quantities."""
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 import numpy as np
+import ufl
 
+from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
+from piezomat.forms.materials import VOIGT
 
-_VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+Kinematics = Literal["small", "finite"]
+
+
+def strain_components(dim: int) -> int:
+    """Number of independent strains: 3 in 2D, 6 in 3D."""
+    return dim * (dim + 1) // 2
+
+
+def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
+    """UFL vector s: Voigt strain (engineering shears) and, where w has psi, -Grad(psi) = E / potential_scale.
+
+    3 + 2 entries in 2D, 6 + 3 in 3D; raises ValueError if w has neither dim nor dim + 1 components.
+    """
+    dim = fenicsx.dimension(w)
+    if w.ufl_shape not in ((dim,), (dim + 1,)):
+        raise ValueError(f"the unknown must have {dim} or {dim + 1} components, not {w.ufl_shape}")
+    if kinematics not in ("small", "finite"):
+        raise ValueError(f'kinematics must be "small" or "finite", not "{kinematics}"')
+    gradient = ufl.grad(w)
+
+    def strain(i: int, j: int) -> Any:
+        linear = gradient[i, j] + gradient[j, i]
+        if kinematics == "finite":
+            linear = linear + sum(gradient[k, i] * gradient[k, j] for k in range(dim))
+        return linear if i != j else 0.5 * linear
+
+    pairs = ((0, 0), (1, 1), (0, 1)) if dim == 2 else ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+    entries = [strain(i, j) for i, j in pairs]
+    if w.ufl_shape == (dim + 1,):
+        entries += [-gradient[dim, j] for j in range(dim)]
+    return ufl.as_vector(entries)
+
+
+def displacement_gradient(w: Any) -> Any:
+    """UFL grad u (d, d) of the displacements in w."""
+    dim = fenicsx.dimension(w)
+    gradient = ufl.grad(w)
+    return ufl.as_matrix([[gradient[i, j] for j in range(dim)] for i in range(dim)])
+
+
+def cofactor(f: Any) -> Any:
+    """UFL det(F) F^-T, as polynomials of the entries of F (d, d)."""
+    if f.ufl_shape == (2, 2):
+        return ufl.as_matrix([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
+    columns = [[f[i, j] for i in range(3)] for j in range(3)]
+    cross = [ufl.cross(ufl.as_vector(columns[j - 2]), ufl.as_vector(columns[j - 1])) for j in range(3)]
+    return ufl.as_matrix([[cross[j][i] for j in range(3)] for i in range(3)])
 
 
 def deformation_gradient(displacement_gradient: Array, out_of_plane_strain: Array) -> Array:
@@ -27,9 +78,9 @@ def push_forward(f: Array, stress: Array, field: Array, displacement: Array) -> 
     """
     jacobian = np.linalg.det(f)[:, None]
     s = np.empty_like(f)
-    for k, (i, j) in enumerate(_VOIGT):
+    for k, (i, j) in enumerate(VOIGT):
         s[:, i, j] = s[:, j, i] = stress[:, k]
     cauchy = f @ s @ np.swapaxes(f, 1, 2)
-    voigt = np.stack([cauchy[:, i, j] for i, j in _VOIGT], axis=1) / jacobian
+    voigt = np.stack([cauchy[:, i, j] for i, j in VOIGT], axis=1) / jacobian
     current_field = np.linalg.solve(np.swapaxes(f, 1, 2), field[..., None])[..., 0]
     return voigt, current_field, (f @ displacement[..., None])[..., 0] / jacobian

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import dolfinx
 import numpy as np
@@ -25,8 +25,7 @@ import ufl
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
-
-Kinematics = Literal["small", "finite"]
+from piezomat.forms.kinematics import Kinematics, cofactor, displacement_gradient, strain_and_field, strain_components
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def constitutive_field(
     and only the elastic block is kept. 15 (2D) or 45 (3D) components; without potential 6 or 21.
     """
     dim = mesh.geometry.dim
-    strains = _strains(dim)
+    strains = strain_components(dim)
     size = strains if potential_scale is None else strains + dim
     scale = np.ones(size)
     scale[strains:] = potential_scale or 1.0
@@ -71,32 +70,7 @@ def constitutive_field(
     return field
 
 
-def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
-    """UFL vector s: Voigt strain (engineering shears) and, where w has psi, -Grad(psi) = E / potential_scale.
-
-    3 + 2 entries in 2D, 6 + 3 in 3D; raises ValueError if w has neither dim nor dim + 1 components.
-    """
-    dim = fenicsx.dimension(w)
-    if w.ufl_shape not in ((dim,), (dim + 1,)):
-        raise ValueError(f"the unknown must have {dim} or {dim + 1} components, not {w.ufl_shape}")
-    if kinematics not in ("small", "finite"):
-        raise ValueError(f'kinematics must be "small" or "finite", not "{kinematics}"')
-    gradient = ufl.grad(w)
-
-    def strain(i: int, j: int) -> Any:
-        linear = gradient[i, j] + gradient[j, i]
-        if kinematics == "finite":
-            linear = linear + sum(gradient[k, i] * gradient[k, j] for k in range(dim))
-        return linear if i != j else 0.5 * linear
-
-    pairs = ((0, 0), (1, 1), (0, 1)) if dim == 2 else ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-    entries = [strain(i, j) for i, j in pairs]
-    if w.ufl_shape == (dim + 1,):
-        entries += [-gradient[dim, j] for j in range(dim)]
-    return ufl.as_vector(entries)
-
-
-def law_matrix(law: Any, size: int) -> Any:
+def symmetric_matrix(law: Any, size: int) -> Any:
     """UFL matrix M (size, size) of the cellwise `constitutive_field`; raises ValueError if the two do not fit."""
     if law.ufl_shape != (size * (size + 1) // 2,):
         raise ValueError(f"a law of {law.ufl_shape[0]} entries does not fit a state of {size} components")
@@ -107,7 +81,7 @@ def law_matrix(law: Any, size: int) -> Any:
 def enthalpy(w: Any, law: Any, kinematics: Kinematics) -> Any:
     """UFL density 1/2 s.M.s in pJ/um3 of w with the `constitutive_field`; raises ValueError if the two do not fit."""
     s = strain_and_field(w, kinematics)
-    return 0.5 * ufl.inner(s, law_matrix(law, len(s)) * s)
+    return 0.5 * ufl.inner(s, symmetric_matrix(law, len(s)) * s)
 
 
 def volume_measure(w: Any) -> Any:
@@ -134,7 +108,7 @@ def internal_form(w: Any, law: Any, kinematics: Kinematics) -> Any:
     """
     s = strain_and_field(w, kinematics)
     variation = ufl.derivative(s, w, ufl.TestFunction(w.function_space))
-    return ufl.inner(law_matrix(law, len(s)) * s, variation) * volume_measure(w)
+    return ufl.inner(symmetric_matrix(law, len(s)) * s, variation) * volume_measure(w)
 
 
 def tangent_form(w: Any, law: Any, kinematics: Kinematics) -> Any:
@@ -157,7 +131,7 @@ def boundary_loads(
     degree = 2 * fenicsx.degree(w)
     normal = ufl.FacetNormal(domain)
     if kinematics == "finite":
-        normal = _cofactor(ufl.Identity(dim) + _displacement_gradient(w)) * normal
+        normal = cofactor(ufl.Identity(dim) + displacement_gradient(w)) * normal
     form = ufl.Form([])
     for load in loads:
         work = []
@@ -177,22 +151,3 @@ def boundary_loads(
 def load_tangent(form: Any, w: Any) -> Any | None:
     """Derivative of `boundary_loads` at w, not symmetric; None where the loads do not depend on w."""
     return ufl.derivative(form, w) if w in form.coefficients() else None
-
-
-def _strains(dim: int) -> int:
-    return dim * (dim + 1) // 2
-
-
-def _displacement_gradient(w: Any) -> Any:
-    dim = fenicsx.dimension(w)
-    gradient = ufl.grad(w)
-    return ufl.as_matrix([[gradient[i, j] for j in range(dim)] for i in range(dim)])
-
-
-def _cofactor(f: Any) -> Any:
-    """det(F) F^-T as polynomials of F's entries."""
-    if f.ufl_shape == (2, 2):
-        return ufl.as_matrix([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
-    columns = [[f[i, j] for i in range(3)] for j in range(3)]
-    cross = [ufl.cross(ufl.as_vector(columns[j - 2]), ufl.as_vector(columns[j - 1])) for j in range(3)]
-    return ufl.as_matrix([[cross[j][i] for j in range(3)] for i in range(3)])

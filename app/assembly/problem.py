@@ -19,6 +19,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.energy import stabilization_form, stored_energies
+from piezomat.forms.evaluation import integral
 from piezomat.forms.piezo import internal_form, load_tangent, tangent_form
 from piezomat.meshes import parallel
 from piezomat.usage import Timer, give_back_memory
@@ -245,8 +246,8 @@ class Problem:
         self._set_state(x)
         elastic, electric = self._energy_forms
         return {
-            "elastic": fenicsx.integral(elastic),
-            "electric": fenicsx.integral(electric) if electric is not None else 0.0,
+            "elastic": integral(elastic),
+            "electric": integral(electric) if electric is not None else 0.0,
         }
 
     def stabilization_work(self) -> float:

@@ -15,7 +15,6 @@ from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import Pairs, SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.discretization.prescribed_motion import largest_prescribed_motion
-from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
@@ -30,6 +29,7 @@ from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
+from piezomat.meshes.mesh_entities import cell_volumes, exterior_facets
 from piezomat.meshes.parallel import redistributed
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import SIDES, Plane
@@ -89,7 +89,7 @@ def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair]
     """
     bodies, keys = model.bodies, model.scene.contact
     rule = PairingRule(len(bodies.part_bodies), ordered=keys.passes == 1, self_contact=keys.self_contact)
-    outside = fenicsx.exterior_facets(model.mesh)
+    outside = exterior_facets(model.mesh)
     whole = surface(model.unknowns.space, "outside", outside, bodies.order)
     kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
     surfaces, components = {}, {}
@@ -143,11 +143,11 @@ def _fiber_thickness(model: Model) -> Array:
     That is a fiber's diameter and the thickness of a strip in two dimensions.
     """
     bodies = model.bodies
-    outside = surface(model.unknowns.space, "outside", fenicsx.exterior_facets(model.mesh), bodies.order)
+    outside = surface(model.unknowns.space, "outside", exterior_facets(model.mesh), bodies.order)
     points = quadrature_points(outside.kind, outside.reference)
     part, parts = bodies.cell_part[outside.cells[points.facet]], len(bodies.part_bodies)
     area = parallel.total(model.comm, np.bincount(part, points.weight, parts))
-    volume = parallel.total(model.comm, np.bincount(bodies.cell_part, fenicsx.cell_volumes(model.mesh), parts))
+    volume = parallel.total(model.comm, np.bincount(bodies.cell_part, cell_volumes(model.mesh), parts))
     return 2.0 * (model.dim - 1) * volume / area
 
 
@@ -156,7 +156,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     if not model.scene.planes:
         return []
     keys = model.scene.contact or ContactKeys()
-    surface_here = _facets(model, "outside", fenicsx.exterior_facets(model.mesh))
+    surface_here = _facets(model, "outside", exterior_facets(model.mesh))
     body = model.bodies.cell_body[surface_here.cells]
     outside = SlaveFacets.of(model.unknowns.space, surface_here, np.zeros(len(body), np.int64), body)
     points = _points(keys, outside)
@@ -191,7 +191,7 @@ def _surface(model: Model, name: str, key: str) -> Surface:
     if name in bodies.bodies:
         facets = body_facets(model.unknowns.space, bodies.cell_body, bodies.bodies.index(name))
     else:
-        facets = np.intersect1d(bodies.facets[name], fenicsx.exterior_facets(model.mesh))
+        facets = np.intersect1d(bodies.facets[name], exterior_facets(model.mesh))
     result = _facets(model, name, facets.astype(np.int32))
     if model.comm.allreduce(len(result)) == 0:
         raise SceneError(key, f'"{name}", which has no facets on the outside', "a body or a facet group of the outside")

@@ -11,10 +11,10 @@ import ufl
 from mpi4py import MPI
 
 from piezomat.discretization.constraints import Condition, load_factor
-from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.piezo import Kinematics, Load, boundary_loads
 from piezomat.meshes.body_mesh import BodyMesh
+from piezomat.meshes.mesh_entities import exterior_facets
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Boundary
 
@@ -74,7 +74,7 @@ class Loads:
 
         Groups may share facets: all loads of the groups of a combination act on its facets.
         """
-        comm, exterior = self._mesh.comm, fenicsx.exterior_facets(self._mesh)
+        comm, exterior = self._mesh.comm, exterior_facets(self._mesh)
         member: Booleans = np.zeros((exterior.max(initial=-1) + 1, len(groups)), bool)
         for column, name in enumerate(groups):
             here = np.intersect1d(bodies.facets[name], exterior)

@@ -12,6 +12,7 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.body_mesh import BodyMesh
+from piezomat.meshes.mesh_entities import cell_volumes
 
 # Least eigenvalue of the fixed displacements' Gram matrix of rigid-body modes, relative to the largest, of a part that
 # its boundaries constrain.
@@ -50,7 +51,7 @@ def parts_of(bodies: BodyMesh, unknowns: Unknowns) -> Parts:
     node_part = np.zeros(unknowns.local, np.int64)
     node_part[nodes] = cell_part[: len(nodes), None]
     cells = unknowns.coordinates[nodes[: len(cell_part)]]
-    volume = fenicsx.cell_volumes(bodies.mesh)[:, None]
+    volume = cell_volumes(bodies.mesh)[:, None]
     total = _sums(unknowns, cell_part, volume, count)
     centre = _sums(unknowns, cell_part, volume * cells.mean(axis=1), count) / total
     # Moments of nodes rather than of cells' centres, so that a part of one cell has an extent too.

@@ -14,8 +14,8 @@ from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.kinematics import deformation_gradient, push_forward
-from piezomat.forms.piezo import strain_and_field
+from piezomat.forms.evaluation import center_expression
+from piezomat.forms.kinematics import deformation_gradient, push_forward, strain_and_field
 from piezomat.results.vtk import ContactPoints, FieldPiece, grid
 
 
@@ -32,12 +32,12 @@ class FieldOutput:
         self._node = np.zeros(len(self._grid.points), np.int64)
         self._node[geometry] = nodes
         state = strain_and_field(model.state, model.kinematics)
-        self._state = fenicsx.center_expression(state, model.mesh)
+        self._state = center_expression(state, model.mesh)
         self._gradient: Any = None
         if model.kinematics == "finite":
             gradient = ufl.grad(model.state)
             entries = [gradient[i, j] for i in range(model.dim) for j in range(model.dim)]
-            self._gradient = fenicsx.center_expression(ufl.as_vector(entries), model.mesh)
+            self._gradient = center_expression(ufl.as_vector(entries), model.mesh)
 
     def piece(self) -> FieldPiece:
         """This rank's fields at the model's present state. Collective."""

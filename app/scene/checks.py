@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 
-from piezomat.forms.materials import BUILT_IN
+from piezomat.forms.material_library import BUILT_IN
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.scene.data import SceneData, key_of
 from piezomat.scene.errors import SceneError, named, shown, unknown_name

@@ -12,7 +12,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Discriminator, Field, PrivateAttr, Tag
 
-from piezomat.forms.materials import BUILT_IN, Material
+from piezomat.forms.material_library import BUILT_IN
+from piezomat.forms.materials import Material
 from piezomat.meshes.gmsh_io.mesh_file import MeshError, MeshFile, read_groups
 from piezomat.meshes.shapes import MeshSizes, Shapes
 from piezomat.scene.errors import SceneError, mesh_error, shown

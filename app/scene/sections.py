@@ -20,7 +20,8 @@ from pydantic import (
     model_validator,
 )
 
-from piezomat.forms.materials import BUILT_IN, Material, permittivity_matrix, piezo_matrix
+from piezomat.forms.material_library import BUILT_IN
+from piezomat.forms.materials import Material, permittivity_matrix, piezo_matrix
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
 
 Positive = Annotated[float, Field(gt=0)]

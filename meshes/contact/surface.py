@@ -12,6 +12,7 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, facet_kind_of
 from piezomat.forms.contact.gap import point_normals
+from piezomat.meshes.mesh_entities import exterior_facets
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def multiplicity(space: Any, surface: Surface) -> Array:
 
 def body_facets(space: Any, cell_body: NDArray[np.int32], body: int) -> NDArray[np.int32]:
     """Local boundary facets of one body. Collective."""
-    exterior = fenicsx.exterior_facets(space.mesh)
+    exterior = exterior_facets(space.mesh)
     return exterior[cell_body[_facet_cells(space.mesh, exterior)] == body]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from piezomat.forms.materials import BUILT_IN
+from piezomat.forms.material_library import BUILT_IN
 from piezomat.scene import Scene
 from scripts.studies.two_fibers import pressed
 from tests.verification import references as ref

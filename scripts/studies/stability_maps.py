@@ -16,7 +16,7 @@ import dolfinx
 import numpy as np
 import ufl
 
-from piezomat.forms import fenicsx
+from piezomat.forms.evaluation import integral
 from piezomat.scene import Scene
 from piezomat.simulation import Run
 from scripts.studies.stability_methods import METHODS, Method
@@ -132,7 +132,7 @@ def patch_error(run: Run) -> float:
     penalty = sum(p.share * float(p.points.weight @ p.law.penalty) for p in passes)  # of a width of 1 um
     exact = -SHORTENING / (1.0 + YOUNG / penalty)
     mean = dolfinx.fem.form((run.state[1].dx(1) - exact) ** 2 * ufl.dx)
-    return math.sqrt(fenicsx.integral(mean)) / abs(exact)
+    return math.sqrt(integral(mean)) / abs(exact)
 
 
 RATIO = Map(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from piezomat.forms.arrays import Array
+from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import (
-    BUILT_IN,
     VACUUM_PERMITTIVITY,
     VOIGT,
     Material,

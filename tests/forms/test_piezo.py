@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.materials import BUILT_IN
+from piezomat.forms.kinematics import strain_and_field
+from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.piezo import (
     Load,
     boundary_loads,
@@ -20,7 +21,6 @@ from piezomat.forms.piezo import (
     enthalpy,
     internal_form,
     load_tangent,
-    strain_and_field,
     tangent_form,
     volume_measure,
 )

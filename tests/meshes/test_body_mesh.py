@@ -18,6 +18,7 @@ from piezomat.meshes.body_mesh import BodyMesh, arrays_of, create
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile, read_groups
 from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.meshes.mesh_entities import exterior_facets
 from piezomat.meshes.shapes import (
     Cantilever,
     CrossedFibers,
@@ -62,7 +63,7 @@ def counts(body: BodyMesh) -> list[int]:
     """Numbers of vertices, cells and geometry nodes, and of exterior facets, over all ranks."""
     mesh = body.mesh
     maps = mesh.topology.index_map(0), mesh.topology.index_map(mesh.topology.dim), mesh.geometry.index_map()
-    return [m.size_global for m in maps] + [mesh.comm.allreduce(len(fenicsx.exterior_facets(mesh)))]
+    return [m.size_global for m in maps] + [mesh.comm.allreduce(len(exterior_facets(mesh)))]
 
 
 def stripes(centroids: np.ndarray, bodies: np.ndarray, ranks: int) -> np.ndarray:
@@ -98,7 +99,7 @@ def test_measures_and_parts_are_the_same_on_any_number_of_ranks(
             found = integrate(body, "dx", np.flatnonzero(body.cell_body == body.bodies.index(name)))
         elif name != "interface_1":
             found = integrate(body, "ds", body.facets[name])
-            assert np.isin(body.facets[name], fenicsx.exterior_facets(body.mesh)).all()
+            assert np.isin(body.facets[name], exterior_facets(body.mesh)).all()
         elif comm.size == 1:
             found = integrate(body, "dS", body.facets[name])
         else:

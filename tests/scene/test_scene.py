@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from piezomat.forms.materials import BUILT_IN, Material
+from piezomat.forms.material_library import BUILT_IN
+from piezomat.forms.materials import Material
 from piezomat.meshes.shapes import FacingHalves
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
