@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import piezomat
 from piezomat import cli
 from piezomat.scene import toml as scene_file
 
@@ -144,3 +145,11 @@ def test_no_whole_scene_of_a_readme_is_out_of_date(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(whole, encoding="utf-8")
     assert Scene.load(file).title == "A fiber pressed on a block"
+
+
+@pytest.mark.parametrize("readme", READMES)
+def test_python_in_readmes_uses_public_names(readme: str) -> None:
+    for block in re.findall(r"^```python\n(.*?)^```$", text(readme), re.M | re.S):
+        compile(block, readme, "exec")
+        for name in re.findall(r"\bpiezomat\.(\w+)", block):
+            assert name in piezomat.__all__, name
