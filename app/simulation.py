@@ -26,7 +26,7 @@ from piezomat.results.atomic import replacing
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import Results
-from piezomat.results.quantities import columns, pair_columns, pair_table, row
+from piezomat.results.quantities import columns, pair_columns, pair_rows, row
 from piezomat.results.ranks import described, shares
 from piezomat.scene import Scene, SceneError
 from piezomat.scene.errors import mesh_error, named
@@ -89,10 +89,9 @@ def run(
         newton = Newton(problem, scene.solver)
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks)
         balance = EnergyBalance(problem)
-        pairs = list(contact.pairs.listed.values()) if contact is not None else []
         if not resume:
             _check_overlap(problem)
-        session = _Session(scene, comm, out, timer, model, problem, stepper, balance, pairs)
+        session = _Session(scene, comm, out, timer, model, problem, stepper, balance)
         try:
             session.open(resume, saved)
             session.march(stop)
@@ -115,7 +114,6 @@ class _Session:
     problem: Problem
     stepper: Stepper
     balance: EnergyBalance
-    pairs: list[str]
 
     def __post_init__(self) -> None:
         self.history: list[dict[str, Any]] = []
@@ -126,7 +124,7 @@ class _Session:
 
     def open(self, resume: bool, saved: Path) -> None:
         """Start the result files, or take up those of an interrupted run."""
-        names = columns(self.model, self.pairs)
+        names = columns(self.problem)
         if self.results is None:
             return
         with self.timer("output"):
@@ -178,7 +176,7 @@ class _Session:
             self.results.close()
 
     def _finish(self, step: Step, report: StepReport, seconds: float) -> None:
-        self.history.append(row(self.problem, self.balance, self.pairs, step, report, seconds))
+        self.history.append(row(self.problem, self.balance, step, report, seconds))
         self.last_step = step.number
         if self.problem.contact is not None:
             self._touched |= touching_bodies(self.model, self.problem.contact)
@@ -242,8 +240,7 @@ class _Session:
     def _write_pairs(self) -> None:
         contact = self.problem.contact
         if contact is not None and contact.surface_pairs:
-            rows = [(contact.pairs.name(number), values) for number, values in pair_table(contact).items()]
-            self.results.pairs(self.last_step, pair_columns(self.model.dim, self.model.electric), rows)
+            self.results.pairs(self.last_step, pair_columns(self.model), pair_rows(contact, self.model))
 
     def _write_fields(self) -> None:
         if self._fields is None:

@@ -71,7 +71,6 @@ _FILES = (
 )
 _PIECES = {"fields": "vtu", "contact": "vtp"}
 _CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)")
-_INTEGERS = {"step", "stage", "newton", "krylov", "cutbacks"}
 
 
 class Results:
@@ -274,11 +273,14 @@ def read_history(path: Path) -> list[dict[str, Value]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
-        return [{name: _number(name, text) for name, text in row.items()} for row in rows]
+        history = [{name: _number(text) for name, text in row.items()} for row in rows]
     except FileNotFoundError as error:
         raise ResultsError(f"there is no {path}") from error
     except (TypeError, ValueError) as error:
         raise ResultsError(f"{path} is not a history: {error}") from error
+    if not all(isinstance(row.get("step"), int) for row in history):
+        raise ResultsError(f"{path} is not a history: a row has no number of a step")
+    return history
 
 
 def versions() -> dict[str, str]:
@@ -321,16 +323,16 @@ def _plain(value: Value) -> Value:
     return float(value) if isinstance(value, np.floating) else value
 
 
-def _number(name: str, text: str | None) -> Value:
-    """The entry of a column as a number, if it is one."""
+def _number(text: str | None) -> Value:
+    """The entry as the number that was written, if it is one: a float's repr() never reads as an integer."""
     if text is None:
         raise ValueError("a row is too short")
-    if name in _INTEGERS:
-        return int(text)
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
 
 
 def _json(value: Any) -> Any:

@@ -1,46 +1,26 @@
-"""The history of a run: its columns, and one row of numbers from a converged state."""
+"""The columns of the history, each listed once: name, unit, meaning, value.
+
+`GROUPS` has them in the order of the columns. To add a column, add a `Quantity` to the group of its place; its value is
+computed from the record of that group (a reaction, the totals of a plane or of a pair, the energies, ...).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter, itemgetter
 from typing import Any
-
-import numpy as np
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.rigid_plane import RigidPlane
-from piezomat.discretization.constraints import Condition
 from piezomat.discretization.model import Model
-from piezomat.forms.arrays import Array
-from piezomat.meshes import parallel
+from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_of_plane
 from piezomat.results.energy_balance import EnergyBalance
+from piezomat.results.reactions import reaction
 from piezomat.solver.load_steps import Step, StepReport
 
 AXES = ("x", "y", "z")
-ENERGIES = ("elastic", "electric", "contact", "adhesion", "stabilization", "external_work", "dissipated")
-EFFORT = ("newton", "krylov", "cutbacks", "seconds")
-
-
-def columns(model: Model, pairs: list[str]) -> list[str]:
-    """Names of the history's columns, in order."""
-    names = ["step", "stage", *(f"factor:{name}" for name in model.scene.load.factors)]
-    axes = AXES[: model.dim]
-    for on in model.constraints.groups:
-        names += [f"force_{axis}@{on}" for axis in axes]
-        if model.electric:
-            names += [f"charge@{on}", f"mean_potential@{on}"]
-    for plane in model.scene.planes:
-        names += [f"force_{axis}@{plane.name}" for axis in axes]
-        names += [f"{name}@{plane.name}" for name in ("contact_area", "max_pressure", "max_penetration")]
-        if model.electric:
-            names += [f"charge@{plane.name}", f"mean_potential@{plane.name}"]
-    for pair in pairs:
-        names += [f"contact_force_{axis}@{pair}" for axis in axes]
-        names += [f"{name}@{pair}" for name in ("contact_area", "max_pressure", "max_penetration")]
-        if model.electric:
-            names += [f"max_potential_jump@{pair}"]
-        names += [f"bonded_area@{pair}"]
-    return [*names, *ENERGIES, *EFFORT, *(["augmentations"] if augments(model) else [])]
+PLACE, AXIS = "{place}", "{axis}"
 
 
 def augments(model: Model) -> bool:
@@ -48,116 +28,268 @@ def augments(model: Model) -> bool:
     return model.scene.contact is not None and model.scene.contact.augment is not None
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A column for each place of its group, and for each axis if it is a vector.
+
+    name: with `{place}`, and `{axis}` if it is a vector.
+    unit: in 3D; in 2D forces, charges and energies are per um of depth. Empty for a number without unit.
+    meaning: one line for the table of columns.
+    value: float, int or (d,) from the record of the group.
+    applies: whether a model has the column.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    value: Callable[[Any], Any]
+    applies: Callable[[Model], bool] = lambda model: True
+
+    def columns(self, dim: int, place: str) -> list[str]:
+        """Names of the columns."""
+        name = self.name.replace(PLACE, place)
+        return [name.replace(AXIS, axis) for axis in AXES[:dim]] if AXIS in name else [name]
+
+    def values(self, record: Any) -> list[float | int]:
+        """Values of the columns."""
+        value = self.value(record)
+        entries = value if AXIS in self.name else [value]
+        return [entry if isinstance(entry, int) else float(entry) for entry in entries]
+
+
+@dataclass(frozen=True)
+class ConvergedStep:
+    """What the values of a row are computed from; `seconds`: wall clock of the step."""
+
+    problem: Problem
+    balance: EnergyBalance
+    step: Step
+    report: StepReport
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Group:
+    """The quantities of one kind of place.
+
+    symbol: stands for the place in the table of columns; empty where there is only one place.
+    places: names of the places of a problem.
+    records: the record of each place, in this order. Collective.
+    """
+
+    symbol: str
+    places: Callable[[Problem], Sequence[str]]
+    records: Callable[[ConvergedStep], Sequence[Any]]
+    quantities: tuple[Quantity, ...]
+
+    def columns(self, model: Model, place: str) -> list[str]:
+        """Names of the columns of a place."""
+        return [name for q in self._of(model) for name in q.columns(model.dim, place)]
+
+    def values(self, model: Model, record: Any) -> list[float | int]:
+        """Values of the columns of a place."""
+        return [value for q in self._of(model) for value in q.values(record)]
+
+    def _of(self, model: Model) -> Iterator[Quantity]:
+        return (q for q in self.quantities if q.applies(model))
+
+
+def _one_place(problem: Problem) -> Sequence[str]:
+    return ("",)
+
+
+def _listed_pairs(problem: Problem) -> Mapping[int, str]:
+    return problem.contact.pairs.listed if problem.contact is not None else {}
+
+
+def _reactions(at: ConvergedStep) -> list[Any]:
+    return [
+        reaction(at.problem, conditions, at.step.after) for conditions in at.problem.model.constraints.groups.values()
+    ]
+
+
+def _planes(at: ConvergedStep) -> list[Any]:
+    contact = at.problem.contact
+    return [totals_of_plane(contact, plane) for plane in contact.planes] if contact is not None else []
+
+
+def _pairs(at: ConvergedStep) -> list[Any]:
+    listed = _listed_pairs(at.problem)
+    totals = totals_of_pairs(at.problem.contact) if listed else {}
+    return [totals.get(number, PairTotals.none(at.problem.model.dim)) for number in listed]
+
+
+def _energies(at: ConvergedStep) -> list[Any]:
+    """Energies of bulk and contact by name, with the work of the balance."""
+    bulk = at.problem.energies(at.problem.state)
+    contact = dict.fromkeys(("contact", "adhesion", "electric", "dissipated"), 0.0)
+    if at.problem.contact is not None:
+        contact = at.problem.contact.energies()
+    work = {"stabilization": at.balance.stabilization_work, "external_work": at.balance.external_work}
+    return [bulk | contact | work | {"electric": bulk["electric"] + contact["electric"]}]
+
+
+def _electric(model: Model) -> bool:
+    return model.electric
+
+
+STEP = Group(
+    "",
+    _one_place,
+    lambda at: [at.step],
+    (
+        Quantity("step", "", "number of the load step, from 1", attrgetter("number")),
+        Quantity("stage", "", "number of the stage that the step belongs to, from 1", attrgetter("stage")),
+    ),
+)
+FACTOR = Group(
+    "NAME",
+    lambda problem: list(problem.model.scene.load.factors),
+    lambda at: [at.step.after[name] for name in at.problem.model.scene.load.factors],
+    (Quantity("factor:{place}", "", "value of a load factor", lambda value: value),),
+)
+BOUNDARY = Group(
+    "B",
+    lambda problem: list(problem.model.constraints.groups),
+    _reactions,
+    (
+        Quantity(
+            "force_{axis}@{place}",
+            "uN",
+            "force that the surroundings exert on the model there: negative `force_y@top` pushes down",
+            attrgetter("force"),
+        ),
+        Quantity("charge@{place}", "pC", "free charge on the boundary", attrgetter("charge"), _electric),
+        Quantity(
+            "mean_potential@{place}",
+            "V",
+            "mean of the potential over the boundary. On a boundary without `potential` this is the mean over an "
+            "insulating surface, not the voltage of an electrode",
+            attrgetter("mean_potential"),
+            _electric,
+        ),
+    ),
+)
+PLANE = Group(
+    "P",
+    lambda problem: [plane.name for plane in problem.model.scene.planes],
+    _planes,
+    (
+        Quantity("force_{axis}@{place}", "uN", "force that the plane exerts on the bodies", attrgetter("force")),
+        Quantity("contact_area@{place}", "um2", "area that touches the plane", attrgetter("area")),
+        Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
+        Quantity("max_penetration@{place}", "um", "largest penetration", attrgetter("max_penetration")),
+        Quantity("charge@{place}", "pC", "charge of an electrode", attrgetter("charge"), _electric),
+        Quantity(
+            "mean_potential@{place}",
+            "V",
+            "potential of an electrode; of an insulator the mean over the surfaces that touch it, `nan` where nothing "
+            "does",
+            attrgetter("potential"),
+            _electric,
+        ),
+    ),
+)
+PAIR = Group(
+    "C",
+    lambda problem: list(_listed_pairs(problem).values()),
+    _pairs,
+    (
+        Quantity("contact_force_{axis}@{place}", "uN", "force on the first body of the pair", attrgetter("force")),
+        Quantity("contact_area@{place}", "um2", "area where the gap is closed", attrgetter("area")),
+        Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
+        Quantity(
+            "max_penetration@{place}",
+            "um",
+            "largest penetration, an error of the penalty: it should be small",
+            attrgetter("max_penetration"),
+        ),
+        Quantity(
+            "max_potential_jump@{place}",
+            "V",
+            "largest difference of the potentials where bodies touch or stick, an error of the penalty: it should be "
+            "small",
+            attrgetter("max_potential_jump"),
+            _electric,
+        ),
+        Quantity("bonded_area@{place}", "um2", "area where adhesion has not broken", attrgetter("bonded_area")),
+    ),
+)
+ENERGY = Group(
+    "",
+    _one_place,
+    _energies,
+    (
+        Quantity("elastic", "pJ", "stored elastic energy of the bodies", itemgetter("elastic")),
+        Quantity("electric", "pJ", "stored electric energy of bodies and contact", itemgetter("electric")),
+        Quantity("contact", "pJ", "energy of the contact penalty", itemgetter("contact")),
+        Quantity("adhesion", "pJ", "energy of the bonds", itemgetter("adhesion")),
+        Quantity(
+            "stabilization",
+            "pJ",
+            "work of the weak springs on bodies that nothing holds, and energy set free by snap-through",
+            itemgetter("stabilization"),
+        ),
+        Quantity("external_work", "pJ", "work done from outside", itemgetter("external_work")),
+        Quantity("dissipated", "pJ", "energy of broken bonds", itemgetter("dissipated")),
+    ),
+)
+EFFORT = Group(
+    "",
+    _one_place,
+    lambda at: [at],
+    (
+        Quantity("newton", "", "Newton iterations", attrgetter("report.newton")),
+        Quantity("krylov", "", "linear solves or Krylov iterations", attrgetter("report.krylov")),
+        Quantity("cutbacks", "", "how often the step was cut", attrgetter("report.cutbacks")),
+        Quantity("seconds", "s", "wall clock of the step", attrgetter("seconds")),
+        Quantity(
+            "augmentations",
+            "",
+            "repetitions with multipliers; with `contact.augment` only",
+            attrgetter("report.augmentations"),
+            augments,
+        ),
+    ),
+)
+GROUPS = (STEP, FACTOR, BOUNDARY, PLANE, PAIR, ENERGY, EFFORT)
+
+
+def columns(problem: Problem) -> list[str]:
+    """Names of the history's columns, in order."""
+    return [name for g in GROUPS for place in g.places(problem) for name in g.columns(problem.model, place)]
+
+
 def row(
-    problem: Problem, balance: EnergyBalance, pairs: list[str], step: Step, report: StepReport, seconds: float
-) -> dict[str, Any]:
-    """One row of the history from the converged state. Collective; the same on all ranks."""
-    model = problem.model
+    problem: Problem, balance: EnergyBalance, step: Step, report: StepReport, seconds: float
+) -> dict[str, float | int]:
+    """Row of the history of a converged step, by column. Collective; the same on all ranks."""
     problem.refresh()
-    values: dict[str, Any] = {"step": step.number, "stage": step.stage}
-    values |= {f"factor:{name}": value for name, value in step.after.items()}
-    axes = AXES[: model.dim]
-    for on, conditions in model.constraints.groups.items():
-        force, charge = reaction(problem, conditions, step.after)
-        values |= {f"force_{axis}@{on}": float(f) for axis, f in zip(axes, force, strict=True)}
-        if model.electric:
-            values |= {f"charge@{on}": charge, f"mean_potential@{on}": model.mean_potential(conditions[0])}
-    energies = problem.energies(problem.state)
-    contact = {"contact": 0.0, "adhesion": 0.0, "electric": 0.0, "dissipated": 0.0}
-    if problem.contact is not None:
-        if pairs:
-            values |= _listed_pairs(problem.contact, model)
-        for plane in problem.contact.planes:
-            values |= plane_values(problem.contact, plane, model.electric)
-        contact = problem.contact.energies()
-    energies["electric"] += contact.pop("electric")
-    values |= energies | contact
-    values |= {"stabilization": balance.stabilization_work, "external_work": balance.external_work}
-    values |= {"newton": report.newton, "krylov": report.krylov, "cutbacks": report.cutbacks, "seconds": seconds}
-    if augments(model):
-        values["augmentations"] = report.augmentations
+    at, model = ConvergedStep(problem, balance, step, report, seconds), problem.model
+    values: dict[str, float | int] = {}
+    for group in GROUPS:
+        for place, record in zip(group.places(problem), group.records(at), strict=True):
+            values |= zip(group.columns(model, place), group.values(model, record), strict=True)
     return values
 
 
-def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, float]) -> tuple[Array, float]:
-    """Force (d,) that the surroundings exert on the model at a facet group, uN, and the free charge on it, pC."""
-    model = problem.model
-    total = np.zeros(model.dim + 1)
-    for condition in conditions:
-        for component, unknowns in condition.fixed.items():
-            total[component] += problem.residual_with_reactions.array_r[unknowns].sum()
-    total = parallel.total(model.comm, total)
-    charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
-    applied = sum(model.loads.applied(condition, factors) for condition in conditions)
-    return total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim])
+def pair_columns(model: Model) -> list[str]:
+    """Names of the columns of pairs.csv behind step and pair: those of a pair, without its name."""
+    return [name.removesuffix("@") for name in PAIR.columns(model, "")]
 
 
-def _listed_pairs(contact: Interfaces, model: Model) -> dict[str, float]:
-    names, table = pair_columns(model.dim, model.electric), pair_table(contact)
-    values = {}
-    for number, pair in contact.pairs.listed.items():
-        found = table.get(number, np.zeros(model.dim + 5))
-        values |= {f"{name}@{pair}": float(value) for name, value in zip(names, found, strict=False)}
-    return values
+def pair_rows(contact: Interfaces, model: Model) -> list[tuple[str, list[float | int]]]:
+    """Name and values of each pair of bodies that is in contact. Collective."""
+    return [
+        (contact.pairs.name(number), PAIR.values(model, totals)) for number, totals in totals_of_pairs(contact).items()
+    ]
 
 
-def plane_values(contact: Interfaces, plane: RigidPlane, electric: bool) -> dict[str, float]:
-    """Force that a plane exerts, area, largest pressure and penetration, charge of an electrode and its potential.
-
-    Of an insulator the mean potential is that of the surfaces on it, nan where nothing touches it. Collective.
-    """
-    d, gap = contact.dim, plane.projection.gap
-    area = plane.points.area[plane.near_points]
-    closed = plane.gap <= 0.0
-    potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
-    sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
-    pressure = -plane.response.slope * plane.points.weight[plane.near_points] / area
-    largest = np.array([pressure.max(initial=0.0), -gap.min(initial=0.0)])
-    largest = parallel.largest(contact.comm, largest)
-    values = {f"force_{axis}@{plane.name}": float(f) for axis, f in zip(AXES, sums[:d], strict=False)}
-    values |= {f"contact_area@{plane.name}": float(sums[d + 1])}
-    values |= {f"max_pressure@{plane.name}": float(largest[0]), f"max_penetration@{plane.name}": float(largest[1])}
-    if electric:
-        mean = float(sums[d + 2] / sums[d + 1]) if sums[d + 1] > 0.0 else float("nan")
-        values |= {f"charge@{plane.name}": float(sums[d])}
-        values |= {f"mean_potential@{plane.name}": mean if plane.potential is None else plane.potential}
-    return values
-
-
-def pair_table(contact: Interfaces) -> dict[int, Array]:
-    """Of each pair that is in contact, by number, what `pair_columns` names, in this order. Collective.
-
-    Force on the first of the pair (d,), area, bonded area, largest pressure, penetration and potential jump.
-    """
-    d = contact.dim
-    mine: dict[int, Array] = {}
-    for p in contact.surface_pairs:
-        r, gap, rows = p.response, p.projection.gap, p.projected_points
-        number, first = p.pair_numbers(contact.pairs)
-        area = p.points.area[rows]
-        closed = p.gap <= p.law[rows].equilibrium_gap
-        # History is that of the converged step, so bonds that broke in it no longer count.
-        bonded = p.law[rows].bonded(p.history[rows])
-        together = closed | (p.law[rows].status(p.gap, p.history[rows]) == 2)
-        jump = np.abs(p.jump) * together if p.jump is not None else np.zeros(len(gap))
-        sums = np.column_stack([np.where(first, 1.0, -1.0)[:, None] * p.force, p.share * area * closed])
-        sums = np.column_stack([sums, p.share * area * bonded])
-        largest = np.column_stack([-r.slope * p.points.weight[rows] / area, -gap, jump])
-        for pair in np.unique(number[closed | bonded | (r.slope != 0.0)]):
-            of = number == pair
-            row = mine.setdefault(int(pair), np.zeros(d + 5))
-            row[: d + 2] += sums[of].sum(axis=0)
-            row[d + 2 :] = np.maximum(row[d + 2 :], largest[of].max(axis=0))
-    table: dict[int, Array] = {}
-    for part in contact.comm.allgather(mine):
-        for pair, values in part.items():
-            row = table.setdefault(pair, np.zeros(d + 5))
-            row[: d + 2] += values[: d + 2]
-            row[d + 2 :] = np.maximum(row[d + 2 :], values[d + 2 :])
-    return dict(sorted(table.items()))
-
-
-def pair_columns(dim: int, electric: bool) -> list[str]:
-    """Names of what `pair_table` holds of each pair."""
-    names = [*(f"contact_force_{axis}" for axis in AXES[:dim]), "contact_area", "bonded_area"]
-    return [*names, "max_pressure", "max_penetration", *(["max_potential_jump"] if electric else [])]
+def columns_table() -> str:
+    """The columns as a table in Markdown: name, unit, meaning."""
+    lines = ["| column | unit | meaning |", "|---|---|---|"]
+    for group in GROUPS:
+        for q in group.quantities:
+            name = f"`{q.name.replace(PLACE, group.symbol).replace(AXIS, 'x')}`{' ...' if AXIS in q.name else ''}"
+            lines.append(f"| {name} | {q.unit} | {q.meaning} |")
+    return "\n".join(lines)

@@ -1,0 +1,112 @@
+"""What contact points add up to: forces, areas and largest values of a pair of bodies, and of a rigid plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.forms.arrays import Array
+from piezomat.meshes import parallel
+
+
+@dataclass(frozen=True)
+class PairTotals:
+    """Contact of a pair of bodies.
+
+    force (d,): on the first body, uN.
+    area, bonded_area: where the gap is closed, and where adhesion has not broken, um2.
+    max_pressure (MPa), max_penetration (um), max_potential_jump (V, of points that touch or are bonded): 0 for none.
+    """
+
+    force: Array
+    area: float
+    bonded_area: float
+    max_pressure: float
+    max_penetration: float
+    max_potential_jump: float
+
+    @classmethod
+    def none(cls, dim: int) -> PairTotals:
+        """Totals of no points."""
+        return cls(np.zeros(dim), 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __add__(self, other: PairTotals) -> PairTotals:
+        """Totals of the points of both."""
+        return PairTotals(
+            self.force + other.force,
+            self.area + other.area,
+            self.bonded_area + other.bonded_area,
+            float(np.maximum(self.max_pressure, other.max_pressure)),
+            float(np.maximum(self.max_penetration, other.max_penetration)),
+            float(np.maximum(self.max_potential_jump, other.max_potential_jump)),
+        )
+
+
+@dataclass(frozen=True)
+class PlaneTotals:
+    """Contact with a rigid plane.
+
+    force (d,): that the plane exerts on the bodies, uN. area: um2. max_pressure: MPa. max_penetration: um.
+    charge: of an electrode, pC. potential: of an electrode its own, V; of an insulator the mean over the surfaces that
+    touch it, nan where none does.
+    """
+
+    force: Array
+    area: float
+    max_pressure: float
+    max_penetration: float
+    charge: float
+    potential: float
+
+
+def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
+    """Totals of each pair that is in contact at the last evaluation, by its number. Collective."""
+    mine: dict[int, PairTotals] = {}
+    none = PairTotals.none(contact.dim)
+    for p in contact.surface_pairs:
+        r, gap, rows = p.response, p.projection.gap, p.projected_points
+        number, first = p.pair_numbers(contact.pairs)
+        area = p.points.area[rows]
+        closed = p.gap <= p.law[rows].equilibrium_gap
+        # History is that of the converged step, so bonds that broke in it no longer count.
+        bonded = p.law[rows].bonded(p.history[rows])
+        together = closed | (p.law[rows].status(p.gap, p.history[rows]) == 2)
+        jump = np.abs(p.jump) * together if p.jump is not None else np.zeros(len(gap))
+        force = np.where(first, 1.0, -1.0)[:, None] * p.force
+        sums = np.column_stack([force, p.share * area * closed, p.share * area * bonded])
+        largest = np.column_stack([-r.slope * p.points.weight[rows] / area, -gap, jump])
+        for pair in np.unique(number[closed | bonded | (r.slope != 0.0)]):
+            of = number == pair
+            *total, touching, sticking = sums[of].sum(axis=0)
+            points = PairTotals(np.array(total), touching, sticking, *largest[of].max(axis=0))
+            mine[int(pair)] = mine.get(int(pair), none) + points
+    everywhere: dict[int, PairTotals] = {}
+    for part in contact.comm.allgather(mine):
+        for pair, totals in part.items():
+            everywhere[pair] = everywhere.get(pair, none) + totals
+    return dict(sorted(everywhere.items()))
+
+
+def totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
+    """Totals of a plane at the last evaluation. Collective."""
+    d, gap = contact.dim, plane.projection.gap
+    area = plane.points.area[plane.near_points]
+    closed = plane.gap <= 0.0
+    potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
+    sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
+    pressure = -plane.response.slope * plane.points.weight[plane.near_points] / area
+    largest = np.array([pressure.max(initial=0.0), -gap.min(initial=0.0)])
+    largest = parallel.largest(contact.comm, largest)
+    charge, touching, integral = sums[d:]
+    mean = integral / touching if touching > 0.0 else float("nan")
+    return PlaneTotals(
+        force=sums[:d],
+        area=touching,
+        max_pressure=largest[0],
+        max_penetration=largest[1],
+        charge=charge,
+        potential=mean if plane.potential is None else plane.potential,
+    )
