@@ -103,9 +103,8 @@ def _listed_pairs(problem: Problem) -> Mapping[int, str]:
 
 
 def _reactions(at: ConvergedStep) -> list[Any]:
-    return [
-        reaction(at.problem, conditions, at.step.after) for conditions in at.problem.model.constraints.groups.values()
-    ]
+    groups = at.problem.model.constraints.groups
+    return [reaction(at.problem, conditions, at.step.after) for conditions in groups.values()]
 
 
 def _planes(at: ConvergedStep) -> list[Any]:
