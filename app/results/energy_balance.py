@@ -44,7 +44,7 @@ class EnergyBalance:
         new, old = (v.array_r.reshape(-1, block) for v in (problem.residual_with_reactions, self.forces))
         # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
         # and the reactions.
-        new = new - problem.loads.array_r.reshape(-1, block)
+        new = new - problem.loads.vector.array_r.reshape(-1, block)
         x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.converged_state))
         work = 0.0
         if problem.snap_through_work is None:
@@ -56,7 +56,7 @@ class EnergyBalance:
             self.external_work += float(problem.snap_through_work[0])
             self.stabilization_work += float(problem.snap_through_work[1])
         self._add_planes()
-        self.stabilization_work += problem.stabilization_work()
+        self.stabilization_work += problem.stabilization.work(problem.state)
         self.forces.array[:] = new.ravel()
 
     def _plane_values(self) -> Array:

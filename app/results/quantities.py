@@ -120,7 +120,7 @@ def _pairs(at: ConvergedStep) -> list[Any]:
 
 def _energies(at: ConvergedStep) -> list[Any]:
     """Energies of bulk and contact by name, with the work of the balance."""
-    bulk = at.problem.energies(at.problem.state)
+    bulk = at.problem.bulk.energies(at.problem.state)
     contact = dict.fromkeys(("contact", "adhesion", "electric", "dissipated"), 0.0)
     if at.problem.contact is not None:
         contact = at.problem.contact.energies()

@@ -83,7 +83,7 @@ class Direct:
     def __init__(self, problem: Problem, keys: Solver) -> None:
         self.problem = problem
         own_choice = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
-        constant = problem.contact is not None and not problem.has_finite_kinematics and problem.is_symmetric
+        constant = problem.contact is not None and problem.bulk.is_constant and problem.is_symmetric
         self.condensation: Condensation | None = Condensation(problem) if constant and not own_choice else None
         self._operator = _Operator(problem)
         self._matrix: PETSc.Mat | None = None

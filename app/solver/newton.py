@@ -98,7 +98,7 @@ class Newton:
         it is held: its springs are then made strong at first.
         """
         report = self._report = NewtonReport()
-        if self.problem.is_stabilized:
+        if self.problem.stabilization.is_active:
             self._springs.solve(margin, prescribed, report)
         else:
             self._solve(margin, report)
@@ -164,7 +164,7 @@ class Newton:
 
     def _polish(self, report: NewtonReport) -> None:
         """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
-        if self.linear.close_tolerance is not None and self.problem.is_stabilized:
+        if self.linear.close_tolerance is not None and self.problem.stabilization.is_active:
             self._predict(report, closely=True)
             self.problem.residual(self.problem.state, self._residual)
 
@@ -191,7 +191,7 @@ class Newton:
         problem.multiply(change, self._change)
         self._right.axpy(-1.0, self._change)
         self._right.array[fixed] = 0.0
-        self._reference = np.maximum(self._reference, problem.norms(self._right))
+        self._reference = np.maximum(self._reference, problem.model.unknowns.norms(self._right))
         self._right.array[fixed] = change.array_r[fixed]
         ksp = self.snes.getKSP()
         ksp.setOperators(*self._operators)
@@ -317,7 +317,7 @@ class Newton:
         self.problem.residual(self._change, self._trial, search=self._trial_is_next)
 
     def _slope(self, residual: PETSc.Vec, step: PETSc.Vec) -> float:
-        d = self.problem.displacements
+        d = self.problem.model.unknowns.displacements
         return self.comm.allreduce(float(np.vdot(d(residual), d(step))), op=MPI.SUM)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
@@ -364,7 +364,7 @@ class Newton:
 
         What rounding alone makes of the largest forces that the model could carry is left out of account.
         """
-        return self._ratios(self.problem.norms(residual))
+        return self._ratios(self.problem.model.unknowns.norms(residual))
 
     def _ratios(self, norms: NDArray[np.float64]) -> NDArray[np.float64]:
         """The fields' norms over the forces of each."""

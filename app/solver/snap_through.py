@@ -28,7 +28,7 @@ def snap_through_work(problem: Problem) -> Array | None:
     if contact is None or not contact.adhesive:
         return None
     end = problem.state.copy()
-    change = problem.displacements(end - problem.converged_state)
+    change = problem.model.unknowns.displacements(end - problem.converged_state)
     fixed = np.zeros(len(problem.residual_with_reactions.array_r), bool)
     fixed[problem.model.constraints.fixed] = True
     fixed = fixed.reshape(-1, problem.model.unknowns.block)[:, : problem.model.dim]
@@ -37,8 +37,8 @@ def snap_through_work(problem: Problem) -> Array | None:
     def power(share: float) -> Array:
         x = (1.0 - share) * problem.converged_state + share * end
         problem.residual(x, x.duplicate())
-        work = problem.displacements(problem.residual_with_reactions) * change
-        applied = problem.displacements(problem.loads) * change
+        work = problem.model.unknowns.displacements(problem.residual_with_reactions) * change
+        applied = problem.model.unknowns.displacements(problem.loads.vector) * change
         outside, free = (work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()
         return parallel.total(problem.comm, np.array([outside, free]))
 
@@ -65,7 +65,7 @@ def snap_through_work(problem: Problem) -> Array | None:
 
 def _energy(problem: Problem, x: PETSc.Vec) -> float:
     """Energy stored and dissipated at a state where contact was evaluated last, pJ."""
-    return sum(problem.energies(x).values()) + sum(problem.contact.energies().values())
+    return sum(problem.bulk.energies(x).values()) + sum(problem.contact.energies().values())
 
 
 def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:

@@ -34,7 +34,7 @@ class Springs:
     def __init__(self, problem: Problem, equilibrium: Callable[[float, NewtonReport], None]) -> None:
         self.problem = problem
         self._equilibrium = equilibrium
-        if problem.model.unconstrained[:, 0].sum() >= MANY and not problem.has_loads:
+        if problem.model.unconstrained[:, 0].sum() >= MANY and not problem.loads.exist:
             problem.set_stabilization(STRONGER)
 
     def solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
@@ -45,18 +45,18 @@ class Springs:
         problem = self.problem
         try:
             self._solve(margin, prescribed, report)
-            if problem.stabilization_load_share() <= CARRIED:
+            if problem.stabilization.load_share(problem.state, problem.loads.vector) <= CARRIED:
                 return
         except SolveError as error:
-            if not (problem.has_loads or problem.model.has_unconstrained_bodies):
+            if not (problem.loads.exist or problem.model.has_unconstrained_bodies):
                 raise
             log.info("loose bodies: %s", error)
         problem.converged_state.copy(problem.state)
         problem.pair(margin)
-        if problem.has_loads:
+        if problem.loads.exist:
             self._let_down(margin, prescribed, report)
         else:
-            problem.set_stabilization(STRONGER if problem.stabilization_factor == 1.0 else 1.0)
+            problem.set_stabilization(STRONGER if problem.stabilization.factor == 1.0 else 1.0)
             self._solve(margin, prescribed, report)
 
     def _solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
@@ -64,9 +64,9 @@ class Springs:
         self._equilibrium(margin, report)
         if self._flew(prescribed):
             raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
-        if problem.stabilization_factor == STRONGER:
-            stored = sum(problem.energies(problem.state).values())
-            if problem.stabilization_work() > WORK * stored:
+        if problem.stabilization.factor == STRONGER:
+            stored = sum(problem.bulk.energies(problem.state).values())
+            if problem.stabilization.work(problem.state) > WORK * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
     def _let_down(self, margin: float, prescribed: float, report: NewtonReport) -> None:
@@ -92,7 +92,7 @@ class Springs:
                     last, fall = factor, min(fall**2, FALL)
         finally:
             problem.set_stabilization(1.0)
-        if problem.stabilization_load_share() > CARRIED:
+        if problem.stabilization.load_share(problem.state, problem.loads.vector) > CARRIED:
             raise SolveError(UNHELD)
 
     def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:

@@ -322,7 +322,7 @@ def test_no_body_stays_where_a_wild_step_threw_it(monkeypatch: pytest.MonkeyPatc
     )
     finished = run(scene, MPI.COMM_SELF)
     assert finished.history[-1]["contact_force_y@lower-upper"] == pytest.approx(-1.0, rel=1e-5)
-    assert np.abs(finished.problem.displacements(finished.problem.state)).max() < 0.01
+    assert np.abs(finished.problem.model.unknowns.displacements(finished.problem.state)).max() < 0.01
 
 
 def thrown(predict: Any) -> Any:

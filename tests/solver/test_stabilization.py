@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from mpi4py import MPI
 
-from piezomat.assembly import problem
+from piezomat.assembly import stabilization_stiffness
 from piezomat.scene import Scene
 from piezomat.simulation import NotConverged, run
 from piezomat.solver import newton as solver
@@ -67,8 +67,8 @@ def weak(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     solve = solver.Newton._solve
 
     def only_stronger(newton: solver.Newton, margin: float, report: NewtonReport) -> None:
-        tried.append(newton.problem.stabilization_factor)
-        if newton.problem.stabilization_factor == 1.0:
+        tried.append(newton.problem.stabilization.factor)
+        if newton.problem.stabilization.factor == 1.0:
             raise SolveError("it flies to and fro")
         solve(newton, margin, report)
 
@@ -93,7 +93,8 @@ def test_many_loose_parts_have_stronger_springs_from_the_start(
 @pytest.mark.mpi
 def test_stronger_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = run(block(), comm).history
-    monkeypatch.setattr(problem, "GROUNDING", springs.STRONGER * problem.GROUNDING)
+    stronger = springs.STRONGER * stabilization_stiffness.RELATIVE_STIFFNESS
+    monkeypatch.setattr(stabilization_stiffness, "RELATIVE_STIFFNESS", stronger)
     for held, row in zip(run(block(), comm).history, weak, strict=True):
         assert held["force_y@lid"] == pytest.approx(row["force_y@lid"], rel=1e-5)
         assert 50 * row["stabilization"] < held["stabilization"] < springs.WORK * held["elastic"]

@@ -1,0 +1,39 @@
+"""Nodal loads: what tractions, pressures and charges add to the residual, and to the tangent where they follow."""
+
+from __future__ import annotations
+
+import dolfinx
+import dolfinx.fem.petsc
+from petsc4py import PETSc
+
+from piezomat.assembly.bulk import assemble_vector
+from piezomat.discretization.model import Model
+from piezomat.forms.piezo import load_tangent
+
+
+class NodalLoads:
+    """The loads of a model at the load factors that its constants have. Every method is collective.
+
+    vector: what the loads add to the residual, minus the nodal forces and charges; of the last `assemble`
+    exist: whether the scene has loads, beside prescribed displacements and potentials
+    follow_state: whether they depend on the state (pressure in finite kinematics), which makes the tangent unsymmetric
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.vector = model.new_vector()
+        form = model.loads.form(model.state, model.kinematics, model.potential_scale)
+        self.exist = not form.empty()
+        tangent = load_tangent(form, model.state) if self.exist else None
+        self.follow_state = tangent is not None
+        self._form = dolfinx.fem.form(form) if self.exist else None
+        self._tangent_form = dolfinx.fem.form(tangent) if self.follow_state else None
+
+    def assemble(self) -> None:
+        """Evaluate `vector` at the model's state."""
+        if self.exist:
+            assemble_vector(self.vector, self._form)
+
+    def add_tangent(self, matrix: PETSc.Mat) -> None:
+        """Add their tangent at the model's state to a matrix that is still to be assembled."""
+        if self.follow_state:
+            dolfinx.fem.petsc.assemble_matrix(matrix, self._tangent_form)

@@ -1,0 +1,103 @@
+"""Stabilization stiffness: weak springs on the parts that only contact holds, without which the tangent is singular.
+
+A spring at each unknown of such a part pulls it back to the last converged state, so that it does work in a step and
+bears nothing that lasts.
+"""
+
+from __future__ import annotations
+
+import dolfinx
+import numpy as np
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from piezomat.assembly.bulk import assemble_vector
+from piezomat.discretization.model import Model
+from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
+from piezomat.forms.energy import stabilization_form
+
+RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the part's stiffness over its size squared
+
+
+class StabilizationStiffness:
+    """Springs of the unconstrained parts of a model: force factor * stiffness * (x - x_n). Every method is collective.
+
+    is_active: whether a part has springs
+    factor: by how much they are stronger than weak ones, see `piezomat.solver.stabilization`
+    """
+
+    def __init__(self, model: Model, converged_state: PETSc.Vec) -> None:
+        """converged_state: x_n, read when forces are evaluated."""
+        self._unknowns, self._comm = model.unknowns, model.comm
+        self._converged_state = converged_state
+        self.factor = 1.0
+        self.is_active = bool(model.unconstrained.any())
+        if self.is_active:
+            self._stiffness = _stiffness(model)
+            self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
+
+    def add_tangent(self, matrix: PETSc.Mat) -> None:
+        """Add the springs to the diagonal of an assembled matrix."""
+        if self.is_active:
+            self._add_to_diagonal(matrix, self.factor)
+
+    def set_factor(self, factor: float, matrix: PETSc.Mat) -> None:
+        """Change the factor, and what `add_tangent` has added to this matrix."""
+        self._add_to_diagonal(matrix, factor - self.factor)
+        self.factor = factor
+
+    def add_residual(self, x: PETSc.Vec | None, result: PETSc.Vec) -> None:
+        """Add the springs' residual at x; without x its constant part, -factor * stiffness * x_n."""
+        if not self.is_active:
+            return
+        self._converged_state.copy(self._work)
+        if x is not None:
+            self._work.axpy(-1.0, x)
+        self._work.pointwiseMult(self._stiffness, self._work)
+        result.axpy(-self.factor, self._work)
+
+    def work(self, x: PETSc.Vec) -> float:
+        """Work of the springs from the last converged state to x, pJ."""
+        if not self.is_active:
+            return 0.0
+        change = x.array_r - self._converged_state.array_r
+        work = self.factor * self._stiffness.array_r * change**2
+        return self._comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
+
+    def load_share(self, x: PETSc.Vec, loads: PETSc.Vec) -> float:
+        """Sum of the forces of springs of factor 1 at x over that of the loads; 0 without springs or loads."""
+        displacements = self._unknowns.displacements
+        total = self._comm.allreduce(float(np.abs(displacements(loads)).sum()), op=MPI.SUM)
+        if not self.is_active or total == 0.0:
+            return 0.0
+        change = displacements(x) - displacements(self._converged_state)
+        force = displacements(self._stiffness) * change
+        return self._comm.allreduce(float(np.abs(force).sum()), op=MPI.SUM) / total
+
+    def _add_to_diagonal(self, matrix: PETSc.Mat, factor: float) -> None:
+        diagonal = matrix.getDiagonal()
+        diagonal.axpy(factor, self._stiffness)
+        matrix.setDiagonal(diagonal)
+
+
+def _stiffness(model: Model) -> PETSc.Vec:
+    """The springs at factor 1: one at each unknown, none where boundaries constrain the part."""
+    strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
+    modulus = np.array([_modulus(model, members) for members in model.bodies.part_bodies])
+    values = RELATIVE_STIFFNESS * modulus / model.parts.size[:, None] ** 2 * model.unconstrained
+    cells = fenicsx.dofmap(strength.function_space)[: len(model.bodies.cell_part), 0]
+    strength.x.array.reshape(-1, 2)[cells] = values[model.bodies.cell_part]
+    strength.x.scatter_forward()
+    springs = model.new_vector()
+    test = ufl.TestFunction(model.unknowns.space)
+    assemble_vector(springs, dolfinx.fem.form(stabilization_form(test, strength)))
+    return springs
+
+
+def _modulus(model: Model, bodies: list[int]) -> Array:
+    """Stiffness of the softest of some bodies, MPa, and the same for the potential unknown, (2,)."""
+    materials = [model.materials[i] for i in bodies]
+    permittivity = min((m.mean_permittivity for m in materials if m.electric), default=0.0)
+    return np.array([min(m.mean_stiffness for m in materials), permittivity * (model.potential_scale or 0.0) ** 2])
