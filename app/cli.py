@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-from piezomat.meshes.gmsh_io.mesh_file import MeshError
+from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file

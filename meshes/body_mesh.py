@@ -1,4 +1,4 @@
-"""A mesh of bodies distributed over ranks, built or read from a file, with body numbers and facet groups."""
+"""Mesh of bodies, built or read from a file and distributed over the ranks, with body numbers and facet groups."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ Partition = Callable[[NDArray[np.float64], NDArray[np.int32], int], NDArray[np.i
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """A distributed mesh; what is said of cells and facets is said of those of this rank.
+    """Distributed mesh. Arrays over cells and facets are those of this rank.
 
-    cell_body, cell_part (cells,): number of the body and of the connected part (cells that share nodes).
-    part_bodies: bodies of each part. facets: indices of the facets of each group, exterior or interior; an
-    interior one between two ranks is on both.
+    cell_body (cells,): number of the body; cell_part (cells,): number of the connected part, cells that share nodes;
+    part_bodies: bodies of each part; facets: local indices of each group, exterior or interior. An interior facet
+    between two ranks is on both.
     """
 
     mesh: Any
@@ -65,7 +65,7 @@ def create(
 
 
 def arrays_of(geometry: Shape | MeshFile, sizes: MeshSizes, save: Path | None = None) -> Arrays:
-    """Mesh of a geometry as arrays, in this process alone. Raises MeshError."""
+    """Mesh of a geometry as arrays. Not collective. Raises MeshError."""
     with gmsh_model.session():
         if isinstance(geometry, MeshFile):
             load(geometry.file)
@@ -84,7 +84,7 @@ def _build(shape: Shape, sizes: MeshSizes) -> None:
     try:
         shape.build(sizes)
     except Exception as error:
-        # gmsh raises Exception itself; its words may be several lines.
+        # gmsh raises Exception itself; its message may have several lines.
         raise MeshError(f"gmsh cannot mesh it: {' '.join(str(error).split())}") from error
 
 
@@ -100,7 +100,7 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
         destinations = np.asarray(partition(centroids, mine.cell_body, comm.size), np.int32)
     mesh = fenicsx.create_mesh(comm, mine.cells, mine.x, head.cell_type, head.order, destinations)
 
-    # Rank 0 answers each rank for the cells it has got, so that none needs room for all.
+    # Rank 0 sends each rank the data of its cells, so that no rank needs memory for all.
     wanted = comm.gather(fenicsx.original_cells(mesh))
     answers, part_bodies = None, None
     if comm.rank == 0:
@@ -124,7 +124,7 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
 def connected_parts(
     cells: NDArray[np.int64], cell_body: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], list[list[int]]]:
-    """Number of the connected part of each cell, in order of first cells, and the bodies of each part."""
+    """Connected part (n,) of each cell, numbered in the order of first cells, and the bodies of each part."""
     # One graph of cells and nodes, each cell linked to its nodes: its components are cells that share nodes.
     count, nodes = cells.shape
     cell, node = np.repeat(np.arange(count), nodes), count + cells.ravel()

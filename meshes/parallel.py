@@ -1,4 +1,4 @@
-"""What ranks do together: sums over all, and work of one rank whose failure every rank learns of."""
+"""Operations of all ranks: reductions, redistribution, and work of one rank whose exception every rank raises."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def on_all(comm: MPI.Comm, action: Callable[[], T]) -> T:
 
 
 def _portable(error: Exception) -> Exception:
-    """The exception, or its words alone if it cannot be sent to other ranks."""
+    """The exception, or one with its message if it cannot be sent to other ranks."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
@@ -65,17 +65,17 @@ def _portable(error: Exception) -> Exception:
 
 
 def total(comm: MPI.Comm, values: Array) -> Array:
-    """Sum of the ranks' arrays of one shape."""
+    """Sum of the ranks' arrays of one shape. Collective."""
     return _reduce(comm, values, MPI.SUM)
 
 
 def largest(comm: MPI.Comm, values: Array) -> Array:
-    """Largest of the ranks' entries."""
+    """Largest of the ranks' values for each entry. Collective."""
     return _reduce(comm, values, MPI.MAX)
 
 
 def least(comm: MPI.Comm, values: Array) -> Array:
-    """Least of the ranks' entries."""
+    """Least of the ranks' values for each entry. Collective."""
     return _reduce(comm, values, MPI.MIN)
 
 
@@ -87,5 +87,5 @@ def _reduce(comm: MPI.Comm, values: Array, operation: MPI.Op) -> Array:
 
 
 def redistributed(comm: MPI.Comm, rows: NDArray, rank: NDArray[np.int32]) -> NDArray:
-    """The rows that come to this rank when every row goes to its `rank`. Collective."""
+    """Rows that this rank receives when every row (n, ...) goes to its `rank` (n,). Collective."""
     return np.concatenate(comm.alltoall([rows[rank == there] for there in range(comm.size)]))

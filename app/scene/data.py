@@ -14,7 +14,8 @@ from pydantic import Discriminator, Field, PrivateAttr, Tag
 
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material
-from piezomat.meshes.gmsh_io.mesh_file import MeshError, MeshFile, read_groups
+from piezomat.meshes.gmsh_io.mesh_file import MeshFile, read_groups
+from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes import MeshSizes, Shapes
 from piezomat.scene.errors import SceneError, mesh_error, shown
 from piezomat.scene.sections import (

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from piezomat.meshes.gmsh_io.mesh_file import MeshError
+from piezomat.meshes.gmsh_io.model import MeshError
 
 Path = tuple[str | int, ...]
 

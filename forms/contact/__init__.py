@@ -1,0 +1,1 @@
+"""Contact kernel: facets, gaps, integrals, and the laws of the interface."""

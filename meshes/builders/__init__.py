@@ -1,0 +1,1 @@
+"""Mesh builders: sections, extrusion, sweeping along centre lines, structured cells, cell sizes."""

@@ -1,4 +1,4 @@
-"""Centre lines of fibers: smooth curves through points, and where fibers come near each other."""
+"""Centre lines of fibers: cubic splines through points, and the places where two fibers are near each other."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-STEP = 0.5  # length of the straight pieces that distances are measured between, in radii
-STEEPEST = 70.0  # degrees between a fiber and a face's normal up to which its end is cut flush with the face
-RAMP = 3.0  # sections turn into a face over this many times the way that they are moved furthest
-MOST_BENT = 0.5  # radius over the radius of curvature up to which sections can do that
-TIP = 8  # pieces to the tip of an end cut at an angle
-FLUSH_SHARE = 0.3  # of its length that a fiber may lose or gain at an end so cut, on the side where it is most
+STEP = 0.5  # length of the straight segments that distances are measured between, in radii
+STEEPEST = 70.0  # degrees: largest angle between a fiber and a face's normal at which its end is cut flush
+RAMP = 3.0  # length over which sections turn into a face, over their largest displacement
+MOST_BENT = 0.5  # largest radius over radius of curvature at which sections can turn
+TIP = 8  # segments to the tip of an end cut at an angle
+FLUSH_SHARE = 0.3  # largest share of its length that a fiber loses or gains at a flush end, on any side
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Face:
 class Fiber:
     """A fiber of one radius (um) about the natural cubic spline through points (n, 3), n >= 2.
 
-    The first and the last point lie in the `faces` that cut it, if any, and its ends are flush with these, as if the
-    fiber went on straight beyond them.
+    The first and the last point lie in the `faces` that cut it, if any. Its ends are flush with these faces, as if the
+    fiber continued straight beyond them.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Fiber:
     @cached_property
     def curve(self) -> CubicSpline:
         """The centre line over its parameter, the length of the chords between the points."""
-        from scipy.interpolate import CubicSpline  # here: a fifteenth of a small scene's time that others do without
+        from scipy.interpolate import CubicSpline  # here: it takes a fifteenth of the time of a small scene
 
         chords = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), self.points, bc_type="natural")
@@ -66,7 +66,7 @@ class Fiber:
         return np.pi * self.radius**2 * self.length
 
     def at(self, along: Array) -> tuple[Array, Array]:
-        """Points (..., 3) of the centre line and its slope (..., 3) there, straight beyond its ends."""
+        """Points and derivatives (..., 3) of the centre line at parameters (...,), straight beyond its ends."""
         inside = np.clip(along, 0.0, self.length)
         slope = self.curve(inside, 1)
         return self.curve(inside) + (along - inside)[..., None] * slope, slope
@@ -77,7 +77,7 @@ class Fiber:
         return along, self.curve(along)
 
     def cap(self, end: int) -> Array:
-        """Centre of the flush first (0) or last (1) end, and half axes towards its tip and across, (3, 3) (um)."""
+        """Ellipse (3, 3), um, of the flush first (0) or last (1) end: centre, half axes to the tip and across."""
         face = self.faces[end]
         normal, slope = np.eye(3)[face.axis], self.curve(end * self.length, 1)
         out = slope / np.linalg.norm(slope) * (1.0 if end else -1.0)
@@ -90,22 +90,22 @@ class Fiber:
 
     @property
     def lowest(self) -> float:
-        """Height of its lowest place (um), of the points alone and of flush ends."""
+        """Height of the lowest of its points and flush ends (um)."""
         caps = [self.cap(end)[:, 2] for end, face in enumerate(self.faces) if face is not None]
         return min([float(self.points[:, 2].min()) - self.radius, *(z - np.hypot(a, b) for z, a, b in caps)])
 
     def overhang(self, end: int) -> float:
-        """By how much of the parameter the tip of a flush end is beyond the end of the centre line."""
+        """Parameter by which the tip of a flush end lies beyond the end of the centre line."""
         slope = self.curve(end * self.length, 1)
         return float(abs(self.cap(end)[1] @ slope) / (slope @ slope))
 
     def flush(self) -> Fiber:
-        """The same fiber without the faces that would cut it too flat for sound cells: its ends there are square."""
+        """Same fiber without the faces that would cut it too flat for valid cells: its ends there are square."""
         kept = tuple(face if face and self._can_be_flush(end) else None for end, face in enumerate(self.faces))
         return self if kept == self.faces else replace(self, faces=kept)
 
     def _can_be_flush(self, end: int) -> bool:
-        """Whether it is long enough, goes steeply through a face wherever that cuts it, and bends little there."""
+        """Whether the fiber is long enough, steep enough wherever the face cuts it, and bends little there."""
         face, most = self.faces[end], FLUSH_SHARE * self.length
         inward = np.linspace(0.0, most, int(np.ceil(most / (0.1 * self.radius))) + 1)
         x, slope = self.at(inward if end == 0 else self.length - inward)
@@ -122,10 +122,10 @@ class Fiber:
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """Straight pieces that fibers lie about: of their centre lines, and on to the tips of their flush ends.
+class Segments:
+    """Straight segments that approximate centre lines, continued to the tips of flush ends.
 
-    Ends (n, 3) each, fiber (n,), radius (n,), parameters (n, 2) of the ends.
+    start, end (n, 3), um; fiber (n,): its number; radius (n,), um; along (n, 2): parameters of both ends.
     """
 
     start: Array
@@ -135,43 +135,42 @@ class Pieces:
     along: Array
 
     @classmethod
-    def of(cls, fibers: Sequence[Fiber]) -> Pieces:
-        """The pieces of some fibers, in their order."""
-        found = [piece for number, fiber in enumerate(fibers) for piece in cls._of(number, fiber)]
+    def of(cls, fibers: Sequence[Fiber]) -> Segments:
+        """Segments of fibers, in their order."""
+        found = [segment for number, fiber in enumerate(fibers) for segment in cls._of(number, fiber)]
         return cls(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
     @classmethod
     def _of(cls, number: int, fiber: Fiber) -> Iterator[tuple[NDArray, ...]]:
-        """The values of its fields for the stretch between the ends of a fiber and for the tip of each flush end.
+        """Values of the fields for a fiber between its ends, then for the tip of each flush end.
 
-        What such an end has beyond the section about the last point of the centre line lies about the half axis of its
-        ellipse, within a radius that goes down to nothing as that of a circle does.
+        The tip of a flush end lies about the half axis of its ellipse. Its radius falls to zero as that of a circle.
         """
 
-        def pieces(along: Array, x: Array, radius: Array) -> tuple[NDArray, ...]:
+        def segments(along: Array, x: Array, radius: Array) -> tuple[NDArray, ...]:
             ends = np.stack([along[:-1], along[1:]], axis=1)
             return x[:-1], x[1:], np.full(len(x) - 1, number), radius, ends
 
         along, x = fiber.samples()
-        yield pieces(along, x, np.full(len(x) - 1, fiber.radius))
+        yield segments(along, x, np.full(len(x) - 1, fiber.radius))
         angle = np.linspace(0.0, 0.5 * np.pi, TIP + 1)
         for end, face in enumerate(fiber.faces):
             if face is not None and fiber.overhang(end) > 0.0:
                 center, half, _ = fiber.cap(end)
                 beyond = end * fiber.length + (1.0 if end else -1.0) * fiber.overhang(end) * np.sin(angle)
-                yield pieces(beyond, center + np.sin(angle)[:, None] * half, fiber.radius * np.cos(angle[:-1]))
+                yield segments(beyond, center + np.sin(angle)[:, None] * half, fiber.radius * np.cos(angle[:-1]))
 
-    def take(self, chosen: Integers) -> Pieces:
-        """Some of the pieces."""
-        return Pieces(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+    def __getitem__(self, chosen: Integers) -> Segments:
+        """Segments of these numbers."""
+        return Segments(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
-    def joined(self, others: Pieces) -> Pieces:
-        """These pieces and others."""
+    def followed_by(self, others: Segments) -> Segments:
+        """These segments, then others."""
         names = self.__dataclass_fields__
-        return Pieces(*(np.concatenate([getattr(self, name), getattr(others, name)]) for name in names))
+        return Segments(*(np.concatenate([getattr(self, name), getattr(others, name)]) for name in names))
 
     def near(self, reach: float) -> tuple[Integers, Integers]:
-        """Pairs of pieces of different fibers, the first of the lower number, whose surfaces may be within `reach`."""
+        """Pairs of segments of different fibers, lower number first, whose surfaces may be within `reach` (um)."""
         middle = 0.5 * (self.start + self.end)
         longest = float(np.linalg.norm(self.end - self.start, axis=1).max())
         pairs = cKDTree(middle).query_pairs(2.0 * float(self.radius.max()) + longest + reach, output_type="ndarray")
@@ -183,10 +182,10 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where fibers come near each other.
+    """Places where two fibers are near each other.
 
-    fibers (n, 2): their numbers, the lower first. along (n, 2): parameters on each. gap (n,): distance of the surfaces
-    there (um), the least of the neighbourhood; negative where they overlap.
+    fibers (n, 2): their numbers, the lower first; along (n, 2): parameters of both; gap (n,), um: least distance of the
+    surfaces in the neighbourhood, negative where they overlap.
     """
 
     fibers: Integers
@@ -195,20 +194,20 @@ class Crossings:
 
 
 def near_places(fibers: Sequence[Fiber], reach: float) -> Crossings:
-    """Every pair of straight pieces, of different fibers, whose surfaces are within `reach` (um) of each other."""
-    pieces = Pieces.of(fibers)
-    i, j = pieces.near(reach)
-    distance, s, t, _ = segment_distances(pieces.start[i], pieces.end[i], pieces.start[j], pieces.end[j])
-    gap = distance - pieces.radius[i] - pieces.radius[j]
+    """All pairs of segments of different fibers whose surfaces are within `reach` (um)."""
+    segments = Segments.of(fibers)
+    i, j = segments.near(reach)
+    distance, s, t, _ = segment_distances(segments.start[i], segments.end[i], segments.start[j], segments.end[j])
+    gap = distance - segments.radius[i] - segments.radius[j]
     near = gap <= reach
     i, j, s, t = i[near], j[near], s[near], t[near]
-    along = [pieces.along[k, 0] + u * (pieces.along[k, 1] - pieces.along[k, 0]) for k, u in ((i, s), (j, t))]
-    numbers = np.stack([pieces.fiber[i], pieces.fiber[j]], axis=1)
+    along = [segments.along[k, 0] + u * (segments.along[k, 1] - segments.along[k, 0]) for k, u in ((i, s), (j, t))]
+    numbers = np.stack([segments.fiber[i], segments.fiber[j]], axis=1)
     return Crossings(numbers, np.stack(along, axis=1), gap[near])
 
 
 def crossings(fibers: Sequence[Fiber], reach: float) -> Crossings:
-    """The places where two fibers are within `reach` (um), one for each stretch over which they stay so near."""
+    """Places where two fibers are within `reach` (um): the nearest of each stretch over which they stay within it."""
     found = near_places(fibers, reach)
     order = np.lexsort((found.along[:, 0], found.fibers[:, 1], found.fibers[:, 0]))
     numbers, along, gap = found.fibers[order], found.along[order], found.gap[order]
@@ -224,9 +223,9 @@ def crossings(fibers: Sequence[Fiber], reach: float) -> Crossings:
 
 
 def segment_distances(a0: Array, a1: Array, b0: Array, b1: Array) -> tuple[Array, Array, Array, Array]:
-    """Distance (n,) of straight pieces a and b (ends (n, 3)), where on each, in [0, 1], and the vector (n, 3) b to a.
+    """Distance (n,) of segments a and b with ends (n, 3), parameters (n,) in [0, 1] on both, and vector (n, 3) b to a.
 
-    The least distance of two segments is either that of their lines or taken at an end of one of them (Ericson 2005,
+    The least distance of two segments is that of their lines or is attained at an end of one of them (Ericson 2005,
     ch. 5.1.9).
     """
     u, v, w = a1 - a0, b1 - b0, a0 - b0

@@ -1,4 +1,4 @@
-"""Bodies drawn from sections: meshed freely with simplices, or with quadrilaterals or bricks in patches."""
+"""Bodies extruded from sections: simplices in their outline, or quadrilaterals and bricks in patches."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from piezomat.meshes.builders.sizes import (
     straight,
     use_fields,
 )
-from piezomat.meshes.builders.structured import Lattice, Piece, Pieces
+from piezomat.meshes.builders.structured import BodyPatch, Lattice, PatchMesh
 from piezomat.meshes.gmsh_io import model as gmsh_model
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a section lies: (s, t) are measured from `origin`; in 3D the body stretches along `axis`."""
+    """Position of a section: (s, t) are measured from `origin`; in 3D the body extends along `axis`."""
 
     origin: Point
     s: Point = (1.0, 0.0, 0.0)
@@ -37,14 +37,14 @@ class Frame:
 
     @classmethod
     def upright(cls, across: float, up: float, angle: float | None = None) -> Frame:
-        """In 2D (no angle) x and y; in 3D upright and across a body at `angle` degrees from x."""
+        """Frame with t upwards: in 2D (no angle) x and y; in 3D across a body at `angle` degrees from x."""
         if angle is None:
             return cls((across, up, 0.0))
         c, s = float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
         return cls((-s * across, c * across, up), (-s, c, 0.0), (0.0, 0.0, 1.0), (c, s, 0.0))
 
     def place(self, section: NDArray[np.float64], along: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-        """Positions (..., 3) of points of the section (..., 2), moved along the axis by `along` (...,)."""
+        """Positions (..., 3) of points (..., 2) of the section, moved along the axis by `along` (...,)."""
         axis = np.asarray(self.axis or (0.0, 0.0, 0.0))
         plane = section[..., :1] * np.asarray(self.s) + section[..., 1:] * np.asarray(self.t)
         return np.asarray(self.origin) + plane + np.asarray(along)[..., None] * axis
@@ -52,10 +52,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Body:
-    """A section in its frame, stretched over `length` in 3D.
+    """Section in its frame, in 3D extruded over `length` (um).
 
-    It meets others at `contacts`, points of the section: in 3D along lines, or, where `crossed`, at points
-    half way along. `radius` scales the zone of fine cells. `ends` are the groups of the two ends in 3D.
+    contacts: points of the section where it meets other bodies, in 3D along lines or, if `crossed`, at points in the
+    middle of the length; radius (um): scale of the zone of fine cells; ends: groups of the two ends in 3D.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Body:
 
 
 def draw(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
-    """Mesh bodies into the current gmsh model; name them and their facet groups, these in the given order."""
+    """Mesh bodies into the current gmsh model and name them and their facet groups, in the order of `groups`."""
     if sizes.tensor:
         _draw_patches(bodies, groups, sizes)
     else:
@@ -82,8 +82,8 @@ def draw(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> Non
 
 
 def _draw_patches(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
-    """Quadrilaterals or bricks, patch by patch."""
-    pieces = Pieces(bodies[0].dimension)
+    """Mesh with quadrilaterals or bricks, patch by patch."""
+    mesh = PatchMesh(bodies[0].dimension)
     for body in bodies:
         size = Grading.of(sizes, body.name, body.radius, PATCH).about(body.contacts)
         layers = _layers(body, sizes)
@@ -95,9 +95,9 @@ def _draw_patches(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSize
             else:
                 points = body.frame.place(patch.points[:, :, None, :], layers)
                 sides |= {(2, 0): [body.ends[0]], (2, -1): [body.ends[1]]}
-            drawn.append(Piece(body.name, Lattice(points, sizes.order, True), sides))
-        pieces.add(*drawn)
-    pieces.finish(groups)
+            drawn.append(BodyPatch(body.name, Lattice(points, sizes.order, True), sides))
+        mesh.add(*drawn)
+    mesh.finish(groups)
 
 
 def _layers(body: Body, sizes: MeshSizes) -> NDArray[np.float64] | None:
@@ -115,7 +115,7 @@ def _layers(body: Body, sizes: MeshSizes) -> NDArray[np.float64] | None:
 
 
 def _draw_freely(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
-    """Triangles or tetrahedra inside the outlines."""
+    """Mesh with triangles or tetrahedra inside the outlines."""
     dim = bodies[0].dimension
     entities: dict[str, list[int]] = {}
     facets: dict[str, list[int]] = {}
@@ -135,12 +135,12 @@ def _draw_freely(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes
     gmsh.model.mesh.generate(dim)
     gmsh.model.mesh.setOrder(sizes.order)
     if sizes.order > 1:
-        # Cells that the true curve spoils are mended; sound ones are left alone.
+        # Repairs the cells that the curved boundary has made invalid and leaves the others.
         gmsh.model.mesh.optimize("HighOrder")
 
 
 def _draw_outline(body: Body) -> tuple[int, list[tuple[str, int]]]:
-    """Draw one body; its entity, and the group of each entity of its boundary."""
+    """Draw one body: its entity, and the group of each entity of its boundary."""
     occ = gmsh.model.occ
     outline = body.section.outline()
     start = 0.0 if body.length is None else -0.5 * body.length

@@ -1,6 +1,6 @@
-"""Sections of bodies in a plane (s, t): as an outline to be meshed freely, or cut into four-sided patches.
+"""Sections of bodies in a plane (s, t): as an outline for a free mesh, or cut into four-sided patches.
 
-Every line of a patch is divided by the cell size along it, so that patches are graded like free meshes.
+Lines of a patch are divided by the cell size along them, so that patches are graded like free meshes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ INNER = 0.4
 
 @dataclass(frozen=True)
 class Edge:
-    """One edge of an outline, from `start` to where the next one starts: straight, or an arc about (0, 0)."""
+    """Edge of an outline, from `start` to the start of the next one: straight, or an arc about (0, 0)."""
 
     start: tuple[float, float]
     group: str
@@ -69,7 +69,7 @@ class Disc:
         return [Edge(_on_circle(self.radius, 45 * i), group, True) for i, group in enumerate(eighths)]
 
     def patches(self, size: Size, order: int) -> list[Patch]:
-        """Those of two half discs."""
+        """Patches of two half discs."""
         right, top, left, left_below, bottom, right_below = self.groups
         above = _Half(self.radius, True, (left, top, right))
         below = _Half(self.radius, False, (right_below, bottom, left_below))
@@ -164,7 +164,7 @@ def _butterfly(halves: Sequence[_Half], size: Size, order: int) -> list[Patch]:
 
 
 def _cells(lines: Sequence[Curve], size: Size) -> int:
-    """The greatest number of cells that any of the lines takes."""
+    """Largest number of cells of any of the lines."""
     return max(Line(line, size).cells for line in lines)
 
 

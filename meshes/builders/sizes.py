@@ -1,4 +1,4 @@
-"""How large cells are: fine where bodies meet, growing in proportion to the distance to a far size."""
+"""Cell sizes: fine where bodies meet, growing linearly with the distance to a far size."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Point = tuple[float, float, float]
 Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 Size = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-# Cells keep the contact size up to the first distance from the place of contact and reach the far size at the
-# second, in radii. The stress under a point of contact in 3D spreads further than that under a line.
+# Distances from the place of contact, in radii, up to which cells have the contact size and from which they have the
+# far size. The stress under a point of contact in 3D spreads further than that under a line.
 LINE = (0.4, 1.1)
 POINT = (0.56, 1.55)
-# Rows of patches carry fine cells on beyond the zone, which can be narrower for them.
+# The zone is narrower for patches, because their rows continue fine cells beyond it.
 PATCH = (0.25, 0.9)
 
 
 @dataclass(frozen=True)
 class MeshSizes:
-    """Cell sizes (um), order and kind of cells of a mesh to build; `factors` multiply the sizes of a body."""
+    """Cell sizes (um), order and kind of cells of a mesh; `factors` multiply the sizes of a body."""
 
     size: float
     contact_size: float
@@ -46,7 +46,7 @@ class MeshSizes:
 
 @dataclass(frozen=True)
 class Grading:
-    """Cell sizes of a body: `fine` within near[0] (um) of where it meets others, `far` beyond near[1]."""
+    """Cell sizes (um) of a body: `fine` up to the distance near[0] from places of contact, `far` from near[1] on."""
 
     fine: float
     far: float
@@ -95,7 +95,7 @@ class Grading:
 
 
 def _distance(point: Point, axis: Point | None) -> str:
-    """Distance to a point, or to the line through it along a unit vector, as gmsh writes it."""
+    """Distance to a point, or to the line through it along a unit vector, in gmsh's syntax."""
     offset = [f"({c}-({p!r}))" for c, p in zip("xyz", point, strict=True)]
     square = "+".join(f"{o}^2" for o in offset)
     if axis is not None:
@@ -105,7 +105,7 @@ def _distance(point: Point, axis: Point | None) -> str:
 
 
 def use_fields(fields_of_bodies: Sequence[int]) -> None:
-    """Let these fields alone decide the size of cells in the current gmsh model."""
+    """Make the least of these fields the only cell size of the current gmsh model."""
     fields = gmsh.model.mesh.field
     background = fields.add("Min")
     fields.setNumbers(background, "FieldsList", list(fields_of_bodies))
@@ -120,7 +120,7 @@ def cells_in(length: float, size: float) -> int:
 
 
 class Line:
-    """A curve with a cell size along it, to be divided in proportion to that size."""
+    """Curve that is divided in proportion to a cell size."""
 
     def __init__(self, curve: Curve, size: Size) -> None:
         self.curve = curve
@@ -131,11 +131,11 @@ class Line:
 
     @property
     def cells(self) -> int:
-        """Number of cells that the sizes ask for."""
+        """Number of cells that the size gives."""
         return max(1, int(np.ceil(self.number[-1] - 1e-6)))
 
     def divide(self, cells: int, order: int) -> NDArray[np.float64]:
-        """Positions (cells * order + 1, d) of nodes; those between corners lie halfway in the parameter."""
+        """Positions (cells * order + 1, d) of nodes; nodes between corners lie halfway in the parameter."""
         ends = np.interp(np.linspace(0.0, self.number[-1], cells + 1), self.number, self.t)
         ends[0], ends[-1] = 0.0, 1.0
         return self.curve(np.interp(np.arange(cells * order + 1) / order, np.arange(cells + 1), ends))

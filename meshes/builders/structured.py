@@ -1,4 +1,4 @@
-"""Cells between the points of a lattice, whole or split into simplices, as entities of the gmsh model."""
+"""Structured meshes: cells between the points of a lattice, whole or split into simplices, in the gmsh model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SIMPLICES = {1: "interval", 2: "triangle", 3: "tetrahedron"}
 
 
 class Lattice:
-    """Points in rows, columns (and layers), with the cells between them.
+    """Points in rows, columns (and layers) and the cells between them.
 
     `points` has shape (rows, columns(, layers), dim) with order * cells + 1 points along each axis. Each box
     is one cell, or is split along one diagonal into 2 triangles or 6 tetrahedra, which match between boxes.
@@ -102,16 +102,16 @@ def _nodes(dim: int, order: int, tensor: bool) -> list[NDArray[np.float64]]:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A lattice as (part of) a body, with the facet groups of its sides."""
+class BodyPatch:
+    """Lattice that is a body or a part of it, with the facet groups of its sides."""
 
     body: str
     lattice: Lattice
     sides: Mapping[Side, Sequence[str]]
 
 
-class Pieces:
-    """Lattices put into the current gmsh model as bodies and facet groups."""
+class PatchMesh:
+    """Mesh of patches in the current gmsh model, with its bodies and facet groups."""
 
     def __init__(self, dim: int) -> None:
         self.dim = dim
@@ -119,28 +119,28 @@ class Pieces:
         self.bodies: dict[str, list[int]] = {}
         self.groups: dict[str, list[int]] = {}
 
-    def add(self, *pieces: Piece) -> None:
-        """Add pieces that share the points where they meet, and none with pieces added before."""
-        x = np.concatenate([piece.lattice.points.reshape(-1, piece.lattice.points.shape[-1]) for piece in pieces])
-        number = merged(x) if len(pieces) > 1 else np.arange(len(x))
+    def add(self, *patches: BodyPatch) -> None:
+        """Add patches that share nodes where they meet; they share none with patches added before."""
+        x = np.concatenate([patch.lattice.points.reshape(-1, patch.lattice.points.shape[-1]) for patch in patches])
+        number = merged(x) if len(patches) > 1 else np.arange(len(x))
         _, first = np.unique(number, return_index=True)
         x = np.pad(x[first], ((0, 0), (0, 3 - x.shape[1])))
         tags = self.nodes + 1 + np.arange(len(x))
         self.nodes += len(x)
-        start, placed = 0, False
-        for piece in pieces:
-            mine = tags[number[start : start + np.prod(piece.lattice.shape)]]
+        start, has_nodes = 0, False
+        for patch in patches:
+            mine = tags[number[start : start + np.prod(patch.lattice.shape)]]
             start += len(mine)
-            cells = mine[piece.lattice.cells()]
+            cells = mine[patch.lattice.cells()]
             entity = gmsh.model.addDiscreteEntity(self.dim)
-            if not placed:
+            if not has_nodes:
                 gmsh.model.mesh.addNodes(self.dim, entity, tags, x.ravel())
-                placed = True
-            self._elements(self.dim, entity, cells, piece.lattice)
-            self.bodies.setdefault(piece.body, []).append(entity)
-            for side, groups in piece.sides.items():
+                has_nodes = True
+            self._elements(self.dim, entity, cells, patch.lattice)
+            self.bodies.setdefault(patch.body, []).append(entity)
+            for side, groups in patch.sides.items():
                 entity = gmsh.model.addDiscreteEntity(self.dim - 1)
-                self._elements(self.dim - 1, entity, mine[piece.lattice.facets(side)], piece.lattice)
+                self._elements(self.dim - 1, entity, mine[patch.lattice.facets(side)], patch.lattice)
                 for group in groups:
                     self.groups.setdefault(group, []).append(entity)
 
@@ -156,7 +156,7 @@ class Pieces:
 
 
 def merged(x: NDArray[np.float64]) -> NDArray[np.int64]:
-    """New number of each point (n, d) such that points in the same place have the same one."""
+    """Numbers (n,) of points (n, d), equal for points in the same place."""
     pairs = cKDTree(x).query_pairs(1e-9 * float(np.ptp(x, axis=0).max()), output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))
     return connected_components(graph, directed=False)[1]

@@ -1,6 +1,6 @@
 """Fibers meshed by sweeping the mesh of a disc along a centre line: bricks, or tetrahedra that split them.
 
-Everything is counted out with arrays for the whole fiber at once, so that mats of a hundred fibers take seconds.
+All arrays are of a whole fiber, so that mats of a hundred fibers take seconds.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ TETRAHEDRA = (
     ((0, 0), (0, 1), (1, 1), (2, 1)),
 )
 SIDE_TRIANGLES = (((0, 0), (1, 0), (1, 1)), ((0, 0), (0, 1), (1, 1)))
-TURNS = 60  # of Newton's method to where each point meets the face; a straight fiber takes two
+TURNS = 60  # Newton iterations to the intersection of each line with the face; a straight fiber takes two
 
 
 @dataclass(frozen=True)
 class Section:
-    """A meshed disc: points (n, 2); cells (c, order + 1, order + 1) and edges of the rim (e, order + 1) by point."""
+    """Meshed disc: points (n, 2); point numbers of cells (c, order + 1, order + 1) and of rim edges (e, order + 1)."""
 
     points: Array
     cells: Integers
@@ -38,7 +38,7 @@ class Section:
 
     @classmethod
     def disc(cls, radius: float, size: Size, order: int) -> Section:
-        """A disc about (0, 0) of quadrilaterals of this size, which all turn the same way."""
+        """Disc about (0, 0) of quadrilaterals of this size, all with the same orientation."""
         patches = Disc(radius, ("rim",) * 6).patches(size, order)
         x = np.concatenate([patch.points.reshape(-1, 2) for patch in patches])
         number = merged(x)
@@ -63,7 +63,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Swept:
-    """A fiber's mesh: nodes x (n, 3); cells and facets by node, in gmsh's order: lateral, first end, last end."""
+    """Mesh of a fiber: nodes x (n, 3); cells, lateral facets and facets of both ends by node, in gmsh's order."""
 
     x: Array
     cells: Integers
@@ -72,9 +72,9 @@ class Swept:
 
 
 def sweep(section: Section, fiber: Fiber, along: Array, tensor: bool) -> Swept:
-    """The section carried along a fiber through the parameters `along` (order * layers + 1,) of its centre line.
+    """Mesh of a fiber with a section at each parameter `along` (order * layers + 1,) of its centre line.
 
-    Towards an end that is flush with a face the sections turn little by little into the face.
+    tensor: bricks instead of tetrahedra. Towards an end that is flush with a face the sections turn into the face.
     """
     order, width = section.order, len(section.points)
     origin, s, t = frames(fiber, along)
@@ -95,7 +95,8 @@ def sweep(section: Section, fiber: Fiber, along: Array, tensor: bool) -> Swept:
 def frames(fiber: Fiber, along: Array) -> tuple[Array, Array, Array]:
     """Points (n, 3) of the centre line and two unit vectors (n, 3) across it, which twist as little as possible.
 
-    The second starts upward. Each next pair is the last one reflected twice (Wang et al., ACM Trans. Graph. 27, 2008).
+    The second vector starts upward. Each pair is the previous one reflected twice (Wang et al., ACM Trans. Graph. 27,
+    2008).
     """
     x, tangent = fiber.curve(along), fiber.curve(along, 1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -116,7 +117,8 @@ def frames(fiber: Fiber, along: Array) -> tuple[Array, Array, Array]:
 def _turn_into(face: Face, end: int, x: Array, section: Section, fiber: Fiber, along: Array, t: Array) -> None:
     """Move the nodes x (levels, points, 3) along the fiber so that its last sections turn into a face that cuts it.
 
-    Every point moves on its own line along the fiber, so that its surface stays the tube that it is.
+    end: 0 or 1; t (levels, 3): second vector of the `frames`. Each node moves on its line parallel to the centre line,
+    so that the lateral surface does not change.
     """
     last, inward, beyond = -end, FLUSH_SHARE * fiber.length, fiber.overhang(end)
     limits = (-inward, beyond) if end else (-beyond, inward)
@@ -148,7 +150,7 @@ def _turn_into(face: Face, end: int, x: Array, section: Section, fiber: Fiber, a
 
 
 def add(swept: Swept, order: int, tensor: bool, first_node: int) -> tuple[int, int, tuple[int, int]]:
-    """Put a swept fiber into the current gmsh model, nodes from `first_node` on; its volume, lateral face and ends."""
+    """Add a fiber to the current gmsh model, with nodes from `first_node` on: its volume, lateral face and two ends."""
     kinds = BOXES if tensor else SIMPLICES
     volume = gmsh.model.addDiscreteEntity(3)
     tags = first_node + np.arange(len(swept.x))
@@ -162,7 +164,7 @@ def add(swept: Swept, order: int, tensor: bool, first_node: int) -> tuple[int, i
 
 
 def _windows(numbers: Integers, order: int) -> Integers:
-    """Runs (n, order + 1) of neighbours, each starting where the last one ends."""
+    """Runs (n, order + 1) of consecutive numbers, each starting at the end of the previous one."""
     return numbers[order * np.arange((len(numbers) - 1) // order)[:, None] + np.arange(order + 1)]
 
 
@@ -176,7 +178,7 @@ def _local(kind: str, order: int) -> Array:
 
 
 def _bricks(section: Section) -> tuple[tuple[Integers, Integers], tuple[Integers, Integers], Integers]:
-    """Section points (n, nodes) and levels (nodes,) of a layer's cells and lateral facets; facets of an end."""
+    """Bricks: section points (n, nodes) and levels (nodes,) of a layer's cells and lateral facets; facets of an end."""
     order = section.order
     i, j, k = _local("hexahedron", order).T
     u, v = _local("quadrilateral", order).T
@@ -184,12 +186,12 @@ def _bricks(section: Section) -> tuple[tuple[Integers, Integers], tuple[Integers
 
 
 def _area(a: Array, b: Array) -> Array:
-    """Area that two vectors of the plane span, positive to the left. (NumPy 2 crosses vectors of space alone.)"""
+    """Signed area spanned by two vectors of the plane. (NumPy 2 has the cross product of vectors of space only.)"""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _tetrahedra(section: Section) -> tuple[tuple[Integers, Integers], tuple[Integers, Integers], Integers]:
-    """The same for tetrahedra: every quadrilateral is two triangles, every prism over them three tetrahedra."""
+    """Tetrahedra, as `_bricks`: a quadrilateral is two triangles, a prism over a triangle three tetrahedra."""
     order, cells = section.order, section.cells
     corners = [[(0, 0), (order, 0), (order, order)], [(0, 0), (order, order), (0, order)]]
     places = np.repeat(np.array(corners), len(cells), axis=0)  # (triangles, 3, 2) within the quadrilateral
@@ -204,7 +206,7 @@ def _tetrahedra(section: Section) -> tuple[tuple[Integers, Integers], tuple[Inte
     points, levels = [], []
     for cut in TETRAHEDRA:
         corner, level = np.array(cut).T
-        # Whether a tetrahedron is right-handed depends on the cut and on how the triangle turns in its new order.
+        # The orientation of a tetrahedron depends on the cut and on the orientation of the reordered triangle.
         solid = np.array([[*((0, 0), (1, 0), (0, 1))[k], h] for k, h in cut], float)
         positive = (np.linalg.det(solid[1:] - solid[0]) > 0.0) == left
         for chosen, nodes in ((positive, weights), (~positive, weights[:, [0, 1, 3, 2]])):

@@ -1,0 +1,1 @@
+"""Contact surfaces across ranks: global and local search, self-contact, load balance."""

@@ -1,4 +1,4 @@
-"""The current gmsh model as plain arrays in DOLFINx order, once it is known to be a mesh of bodies."""
+"""From the current gmsh model to arrays in DOLFINx order, checked to be a valid mesh of bodies."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ CORNERS = {"interval": 2, "triangle": 3, "quadrilateral": 4}
 
 @dataclass(frozen=True)
 class Arrays:
-    """A mesh in one process.
+    """Mesh in one process.
 
-    cells (n, nodes) and facets (m, nodes) are nodes in DOLFINx order, x (N, dimension) coordinates (um),
-    cell_body (n,) numbers of bodies. A facet may be in several groups: facet_values (m,) are numbers of
-    combinations, each a tuple of indices into facet_groups.
+    x (N, dimension), um; cells (n, nodes), facets (m, nodes): node numbers in DOLFINx order; cell_body (n,): numbers of
+    bodies; facet_values (m,): numbers of combinations, each a tuple of indices into facet_groups, because a facet may
+    belong to several groups.
     """
 
     cell_type: str
@@ -49,15 +49,15 @@ class Arrays:
         return self.x.shape[1]
 
     def head(self) -> Arrays:
-        """The same mesh with no cell, node or facet: what ranks that hold none of it need to know."""
+        """Same mesh without cells, nodes and facets, for ranks that hold none."""
         names = ("x", "cells", "cell_body", "facets", "facet_values")
         return replace(self, **{name: getattr(self, name)[:0].copy() for name in names})
 
 
 def mesh_arrays(order: int) -> Arrays:
-    """Arrays of the current gmsh model, its cells made of the given order. Raises MeshError."""
-    dim = dimension()
-    bodies, facet_groups = groups(dim)
+    """Arrays of the current gmsh model, with cells of the given order. Raises MeshError."""
+    dim = gmsh_model.cell_dimension()
+    bodies, facet_groups = gmsh_model.body_and_facet_groups(dim)
     cells = _cells(dim, bodies)
     if CELLS.get(cells[0][1].type, ("", 0))[1] != order:
         gmsh.model.mesh.setOrder(order)
@@ -97,23 +97,6 @@ def mesh_arrays(order: int) -> Arrays:
     )
 
 
-def dimension() -> int:
-    """Dimension of the cells of the current gmsh model, 2 or 3. Raises MeshError."""
-    for dim in (3, 2):
-        if any(gmsh_model.elements(dim, entity) for _, entity in gmsh.model.getEntities(dim)):
-            return dim
-    raise MeshError("it has no cells (neither volumes nor surfaces are meshed)")
-
-
-def groups(dim: int) -> tuple[list[Group], list[Group]]:
-    """Physical groups of cells and of facets. Raises MeshError."""
-    bodies, facets = gmsh_model.groups(dim), gmsh_model.groups(dim - 1)
-    if not bodies:
-        what = "volumes" if dim == 3 else "surfaces"
-        raise MeshError(f"it has no physical {what}: give each body a physical group")
-    return bodies, facets
-
-
 def _cells(dim: int, bodies: list[Group]) -> list[tuple[int, Elements]]:
     """Cells of each entity with the number of the body, all of one type, each cell in just one body."""
     cells: list[tuple[int, Elements]] = []
@@ -135,7 +118,7 @@ def _cells(dim: int, bodies: list[Group]) -> list[tuple[int, Elements]]:
 
 def _check_once(cells: NDArray[np.int64], cell_body: NDArray[np.int32], bodies: list[Group]) -> None:
     """Raise MeshError where two cells have the same nodes."""
-    # Sums of random numbers of the nodes are equal for equal sets, and as good as never for others.
+    # Sums of random numbers of the nodes are equal for equal sets and practically never for others.
     key = np.random.default_rng(0).integers(2**62, size=int(cells.max()) + 1)[cells].sum(axis=1)
     order = np.argsort(key)
     again = np.flatnonzero(np.diff(key[order]) == 0)
@@ -158,7 +141,7 @@ def _check_cells(dim: int, cells: list[tuple[Elements, NDArray[np.int64]]], x: N
         greatest = gmsh.model.mesh.getElementQualities(found.tags, "maxDetJac")
         bad = ~(least > DEGENERATE * np.abs(greatest))
         if dim == 2:
-            # gmsh measures a plane cell against its own normal; that of a whole surface may point either way.
+            # gmsh measures a plane cell against its own normal. The normal of a whole surface may point either way.
             bad |= ~(_turns(x[nodes], found.type) > 0)
         if bad.any():
             first = x[nodes[np.flatnonzero(bad)[0]]].mean(axis=0)[:dim]
@@ -167,7 +150,7 @@ def _check_cells(dim: int, cells: list[tuple[Elements, NDArray[np.int64]]], x: N
 
 
 def _turns(x: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
-    """Area of each plane cell (n, nodes, 3), positive for the sense in which most of them turn."""
+    """Signed area (n,) of plane cells (n, nodes, 3), positive for the orientation of most of them."""
     corners = x[:, : CORNERS[CELLS[kind][0]], :2]
     following = np.roll(corners, -1, axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -178,7 +161,7 @@ def _turns(x: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
 def _facets(
     dim: int, cell: tuple[str, int], found: list[Group], used: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], tuple[tuple[int, ...], ...]]:
-    """Facets in groups (m, nodes), the number of the combination of groups of each, and the combinations."""
+    """Facets (m, nodes) of groups, the number (m,) of the combination of groups of each, and the combinations."""
     name, order = cell
     width = {"interval": order + 1, "triangle": 3 * order, "quadrilateral": (order + 1) ** 2}[name]
     nodes, member = [np.empty((0, width), np.int64)], [np.empty(0, np.int32)]
@@ -203,5 +186,5 @@ def _facets(
 
 
 def not_facets(group: str) -> MeshError:
-    """The error of a group that holds something else than facets of cells."""
+    """Error of a group with elements that are not facets of cells."""
     return MeshError(f"facets of the group {group!r} are not facets of the cells")

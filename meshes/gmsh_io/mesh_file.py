@@ -1,4 +1,4 @@
-"""A gmsh mesh file as geometry: its groups, and the checks that say in words what is wrong with a mesh."""
+"""A gmsh mesh file as geometry: read into the gmsh model, with errors that name the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import gmsh
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from piezomat.meshes.gmsh_io import extract as read_out
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io import msh_reader as msh
 from piezomat.meshes.gmsh_io.model import GEOMETRY, MeshError
@@ -22,8 +21,8 @@ KEY = f"{GEOMETRY}.file"
 class MeshFile(BaseModel):
     """A gmsh mesh (MSH 2.2 or 4.1, text or binary): physical volumes are bodies, surfaces facet groups.
 
-    A 2D mesh lies in a plane of x and y and has physical surfaces and curves. A group without a name has its
-    number for a name; groups of lower dimensions mean nothing.
+    A 2D mesh lies in a plane of x and y and has physical surfaces and curves. The name of a group without a name is its
+    number. Groups of lower dimensions are ignored.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -32,7 +31,7 @@ class MeshFile(BaseModel):
 
 
 def load(path: Path) -> None:
-    """Put a mesh file into the current gmsh model, but for elements more than one dimension below the cells.
+    """Read a mesh file into the current gmsh model: its cells and the elements one dimension below.
 
     Raises MeshError.
     """
@@ -62,7 +61,7 @@ def load(path: Path) -> None:
 
 
 def _name_groups(file: msh.Contents, entities: dict[tuple[int, int], int]) -> None:
-    """Give the entities, (dim, entity) of the file -> gmsh's tag, their physical groups. Raises MeshError."""
+    """Add physical groups to `entities`: (dim, entity) of the file -> tag in gmsh. Raises MeshError."""
     groups: dict[tuple[int, int], list[int]] = {}
     for key, tag in entities.items():
         for group in file.groups.get(key, []):
@@ -78,7 +77,7 @@ def _name_groups(file: msh.Contents, entities: dict[tuple[int, int], int]) -> No
 
 @contextmanager
 def blaming(path: Path) -> Iterator[None]:
-    """Raise errors of a geometry with the file's name before them and the key that gives it."""
+    """Name the file and its key in errors of the geometry."""
     try:
         yield
     except MeshError as error:
@@ -88,9 +87,9 @@ def blaming(path: Path) -> Iterator[None]:
 
 
 def read_groups(path: Path) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
-    """Dimension, names of bodies and of facet groups of a file, in this process alone. Raises MeshError."""
+    """Dimension, names of bodies and names of facet groups of a file. Not collective. Raises MeshError."""
     with blaming(path), gmsh_model.session():
         load(path)
-        dim = read_out.dimension()
-        bodies, facets = read_out.groups(dim)
+        dim = gmsh_model.cell_dimension()
+        bodies, facets = gmsh_model.body_and_facet_groups(dim)
         return dim, tuple(body.name for body in bodies), tuple(group.name for group in facets)

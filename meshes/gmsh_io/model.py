@@ -1,4 +1,4 @@
-"""The current gmsh model: opened and closed cleanly, meshed, read out as arrays, written."""
+"""The current gmsh model: opened and closed, its groups and elements, written to a file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import gmsh
 import numpy as np
 from numpy.typing import NDArray
 
-# Meshes are the same from run to run: one thread, and no settings taken over from the user's files.
+# Meshes are the same from run to run: one thread, and no settings from the user's files.
 _OPTIONS = {
     "General.Terminal": 0,
     "General.NumThreads": 1,
@@ -45,7 +45,7 @@ GEOMETRY = "geometry"
 
 
 class MeshError(ValueError):
-    """A mesh that cannot be built, read or used; `key` is the key of the scene to blame."""
+    """Mesh that cannot be built, read or used; `key` is the key of the scene that is wrong."""
 
     def __init__(self, message: str, key: str = GEOMETRY) -> None:
         super().__init__(message, key)
@@ -75,9 +75,9 @@ class Group:
 
 @contextmanager
 def session(name: str = "piezomat") -> Iterator[None]:
-    """An empty gmsh model, silent, that is gone again afterwards, also after an error.
+    """Empty, silent gmsh model that is removed at the end, also after an error.
 
-    A gmsh that the caller has opened stays open with the caller's model current and the caller's options set.
+    If the caller has opened gmsh, it stays open with the caller's model and options.
     """
     opened = not gmsh.isInitialized()
     if opened:
@@ -100,11 +100,11 @@ def session(name: str = "piezomat") -> Iterator[None]:
 
 
 def _initialize() -> None:
-    """Open gmsh without letting it take over signals: the first time it sets them to the system's defaults."""
+    """Open gmsh and keep Python's signal handlers, which gmsh replaces by the system's defaults the first time."""
     handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     if threading.current_thread() is not threading.main_thread():
-        return  # Python sets handlers in the main thread alone
+        return  # Python sets handlers in the main thread only
     for number, handler in handlers.items():
         if handler is not None and handler != signal.SIG_DFL:
             signal.signal(number, handler)
@@ -127,7 +127,7 @@ def groups(dim: int) -> list[Group]:
 
 
 def elements(dim: int, entity: int) -> list[Elements]:
-    """Elements of an entity, one item a type."""
+    """Elements of an entity, one item for each type."""
     found = []
     for kind, tags, nodes in zip(*gmsh.model.mesh.getElements(dim, entity), strict=True):
         shape = (len(tags), -1)
@@ -141,8 +141,25 @@ def nodes() -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return tags.astype(np.int64), x.reshape(-1, 3)
 
 
+def cell_dimension() -> int:
+    """Dimension of the cells of the current gmsh model, 2 or 3. Raises MeshError."""
+    for dim in (3, 2):
+        if any(elements(dim, entity) for _, entity in gmsh.model.getEntities(dim)):
+            return dim
+    raise MeshError("it has no cells (neither volumes nor surfaces are meshed)")
+
+
+def body_and_facet_groups(dim: int) -> tuple[list[Group], list[Group]]:
+    """Physical groups of cells and of facets. Raises MeshError."""
+    bodies, facets = groups(dim), groups(dim - 1)
+    if not bodies:
+        what = "volumes" if dim == 3 else "surfaces"
+        raise MeshError(f"it has no physical {what}: give each body a physical group")
+    return bodies, facets
+
+
 def type_name(kind: int) -> str:
-    """gmsh's words for an element type, such as "Hexahedron 20"."""
+    """gmsh's name of an element type, such as "Hexahedron 20"."""
     return gmsh.model.mesh.getElementProperties(kind)[0]
 
 
@@ -150,7 +167,7 @@ def write(path: Path | str) -> None:
     """Write the current model as binary MSH 4.1; the file appears complete or not at all. Raises OSError."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.msh")
-    temporary.touch()  # gmsh would not say why it cannot
+    temporary.touch()  # gmsh would not give the reason of a failure
     try:
         gmsh.write(str(temporary))
         temporary.replace(path)

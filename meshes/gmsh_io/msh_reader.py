@@ -1,4 +1,4 @@
-"""A reader of gmsh's mesh files (MSH 2.2 and 4.1, text and binary) that a damaged file cannot bring down.
+"""Reader of gmsh's mesh files (MSH 2.2 and 4.1, text and binary) that raises an error for any damaged file.
 
 gmsh itself ends the process on some of them. Format: gmsh reference manual, section "MSH file format".
 """
@@ -23,7 +23,7 @@ BINARY = {"i": "<i4", "z": "<u8", "d": "<f8"}
 
 @dataclass(frozen=True)
 class Block:
-    """Elements (n, nodes) of one gmsh type in one entity, by the tags of their nodes."""
+    """Elements (n, nodes) of one gmsh type in one entity, as tags of their nodes."""
 
     dim: int
     entity: int
@@ -33,7 +33,7 @@ class Block:
 
 @dataclass
 class Contents:
-    """What a file says: nodes, elements, physical groups of entities (dim, tag) and names of groups."""
+    """Contents of a file: nodes, elements, physical groups of entities (dim, tag) and names of groups."""
 
     tags: NDArray[np.int64]
     x: NDArray[np.float64]
@@ -89,7 +89,7 @@ def _sections(data: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 class _Numbers:
-    """The numbers of a section one after the other, written as text or binary."""
+    """Sequential reader of the numbers of a section, written as text or binary."""
 
     def __init__(self, data: bytes, name: str, binary: bool) -> None:
         self.name, self.binary, self.at = name, binary, 0
@@ -134,7 +134,7 @@ class _Numbers:
         return self.integers(1, kinds)[0].tolist()
 
     def counted(self) -> list[int]:
-        """The next whole numbers, the first of which says how many follow."""
+        """The next whole numbers, after their count."""
         return self.integers(self.row("z")[0], "i")[:, 0].tolist()
 
     def announced(self) -> int:
@@ -148,7 +148,7 @@ class _Numbers:
         return int(line)
 
     def left(self) -> int:
-        """How many numbers of a section in text have not been read."""
+        """Number of values of a section in text that have not been read."""
         return len(self.values) - self.at
 
 
@@ -192,7 +192,7 @@ def _parse_4(sections: dict[str, bytes], binary: bool) -> Contents:
 
 
 def _parse_2(sections: dict[str, bytes], binary: bool) -> Contents:
-    """MSH 2.2: each element has its physical group, which stands for the entity here."""
+    """MSH 2.2: each element has its physical group, which is taken as the entity."""
     numbers = _Numbers(sections["Nodes"], "Nodes", binary)
     nodes = numbers.table(numbers.announced(), "iddd")
     numbers = _Numbers(sections["Elements"], "Elements", binary)
@@ -214,7 +214,7 @@ def _parse_2(sections: dict[str, bytes], binary: bool) -> Contents:
 
 
 def _run(numbers: _Numbers, most: int) -> tuple[int, int, int]:
-    """Type, number and count of marks of the next elements in text that are written alike."""
+    """Type, number and number of tags of the next elements in text that have both in common."""
     _, kind, marks = numbers.row("iii")
     numbers.at -= 3
     width = 3 + marks + _properties(kind)[1] if 0 <= marks < 100 else 3

@@ -1,4 +1,4 @@
-"""What every built shape answers."""
+"""Base class of the built-in shapes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from piezomat.meshes.builders.sizes import MeshSizes
 
 
 class Shape(BaseModel):
-    """A geometry with named bodies and facet groups, known before anything is meshed. Lengths in um."""
+    """Geometry with named bodies and facet groups, known before it is meshed. Lengths in um."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -34,9 +34,9 @@ class Shape(BaseModel):
         raise NotImplementedError
 
     def __eq__(self, other: object) -> bool:
-        """By the keys alone: what is derived from them and remembered are arrays."""
+        """Equality of the keys alone: derived values that are cached are arrays."""
         return type(self) is type(other) and self.model_dump() == other.model_dump()
 
     def outcome(self) -> object | None:
-        """What a recipe came to, to be shown in words; None for a shape that is no recipe."""
+        """Statistics of a shape of many fibers, printable; None for other shapes."""
         return None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from piezomat.meshes.builders.sizes import MeshSizes, cells_in
-from piezomat.meshes.builders.structured import Lattice, Piece, Pieces, Side
+from piezomat.meshes.builders.structured import BodyPatch, Lattice, PatchMesh, Side
 from piezomat.meshes.shapes.base import Shape
 
 Positive = Annotated[float, Field(gt=0)]
@@ -21,11 +21,11 @@ SIDES: dict[int, dict[str, Side]] = {
 
 
 class StackedBlocks(Shape):
-    """2D or 3D: blocks one on the other, from the origin to x = width (y = depth) and upwards.
+    """2D or 3D: blocks on each other, from the origin to x = width (y = depth) and upwards.
 
     Bodies `lower` and `upper`, or of more blocks `block_1` and so on, from below. Groups: sides of the stack
     (`bottom`, `top`, `left`, `right`, in 3D `front`, `back`), sides of each block (`<body>_left`, ...), and
-    `<body>_contact`, all its faces that meet another block.
+    `<body>_contact`, all its faces towards another block.
     """
 
     shape: Literal["stacked_blocks"] = "stacked_blocks"
@@ -35,7 +35,7 @@ class StackedBlocks(Shape):
     divisions: list[list[Count]] | None = Field(
         None, description="cells of each block along x, (y,) and upwards; absent: cells of mesh.size"
     )
-    distortion: float = Field(0.0, ge=0, le=0.2, description="nodes inside move by up to this times the cell size")
+    distortion: float = Field(0.0, ge=0, le=0.2, description="inner nodes move by up to this times the cell size")
     gap: float = Field(0.0, description="distance between neighbours (um)")
     tilt: float = Field(0.0, description="turns the whole stack about the origin, x towards up (degrees)")
 
@@ -67,7 +67,7 @@ class StackedBlocks(Shape):
 
     def build(self, sizes: MeshSizes) -> None:
         dim, last = self.dimension, len(self.height) - 1
-        pieces = Pieces(dim)
+        mesh = PatchMesh(dim)
         base = 0.0
         for i, (body, height) in enumerate(zip(self.bodies(), self.height, strict=True)):
             extent = [self.width, height] if self.depth is None else [self.width, self.depth, height]
@@ -82,9 +82,9 @@ class StackedBlocks(Shape):
             for name, side in SIDES[dim].items():
                 meets = (name == "bottom" and i > 0) or (name == "top" and i < last)
                 sides[side] = [f"{body}_{name}", f"{body}_contact" if meets else name]
-            pieces.add(Piece(body, lattice, sides))
+            mesh.add(BodyPatch(body, lattice, sides))
             base += height + self.gap
-        pieces.finish(self.facet_groups())
+        mesh.finish(self.facet_groups())
 
 
 def _tilted(points: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
@@ -140,7 +140,7 @@ class Cantilever(Shape):
         counts = [given[0], *given[2:]] if given else [cells_in(extent, far) for extent in extents]
         plane = [np.linspace(0.0, extent, n + 1) for extent, n in zip(extents, counts, strict=True)]
         names = {"left": "root", "right": "tip"}
-        pieces, base = [], 0.0
+        patches, base = [], 0.0
         for i, (body, thickness) in enumerate(zip(self.bodies(), self.layers, strict=True)):
             top = base + thickness
             up = np.linspace(base, top, 1 + (given[1] if given else cells_in(thickness, far)))
@@ -149,8 +149,8 @@ class Cantilever(Shape):
                 sides[SIDES[self.dimension]["bottom"]] = [f"interface_{i}"]
             if i < len(self.layers) - 1:
                 del sides[SIDES[self.dimension]["top"]]
-            pieces.append(Piece(body, Lattice.box([*plane, up], sizes.order, sizes.tensor), sides))
+            patches.append(BodyPatch(body, Lattice.box([*plane, up], sizes.order, sizes.tensor), sides))
             base = top
-        bonded = Pieces(self.dimension)
-        bonded.add(*pieces)
-        bonded.finish(self.facet_groups())
+        mesh = PatchMesh(self.dimension)
+        mesh.add(*patches)
+        mesh.finish(self.facet_groups())

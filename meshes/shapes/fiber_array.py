@@ -15,14 +15,14 @@ from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.builders.extrude import Body, Frame, draw
 from piezomat.meshes.builders.sections import Disc
 from piezomat.meshes.builders.sizes import MeshSizes
-from piezomat.meshes.shapes.fiber_shape import CROSSING, NEAR, FiberShape, Outcome
+from piezomat.meshes.shapes.fiber_shape import CONTACT_ZONE, CROSSING, FiberShape, Outcome
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 
 
 class FiberArray(FiberShape):
-    """2D discs or, with `length`, 3D cylinders along x, in a box from the origin across (x in 2D, y in 3D) and up.
+    """2D discs or, with `length`, 3D cylinders along x, in a box from the origin across (x in 2D, y in 3D) and upwards.
 
     square: one above the other; hexagonal: every second row half a fiber further; random: dropped one by one, each
     rolling to rest on two others, on a wall and another, or on the floor. Bodies `fiber_1` and so on, from below.
@@ -48,7 +48,7 @@ class FiberArray(FiberShape):
     def discs(self) -> Array:
         """Across, up and radius (n, 3) of each fiber (um)."""
         if self.arrangement == "random":
-            # The gap is half a gap more of radius while they fall.
+            # While they fall, radii are larger by half the gap.
             return self._packed(0.5 * self.gap)
         pitch = 2.0 * self.radius + self.gap
         shifted = 0.5 if self.arrangement == "hexagonal" else 0.0
@@ -95,7 +95,7 @@ class FiberArray(FiberShape):
 
     @cached_property
     def _box(self) -> Array:
-        """Low and high (2, 2) of the array, across and up (um)."""
+        """Least and largest coordinates (2, 2) of the array, across and up (um)."""
         x, r = self.discs[:, :2], self.discs[:, 2:]
         return np.stack([(x - r).min(axis=0), (x + r).max(axis=0)])
 
@@ -103,7 +103,7 @@ class FiberArray(FiberShape):
     def _touching(self) -> tuple[NDArray[np.int64], Array]:
         """Pairs (k, 2) of neighbours within a tenth of a radius, and their gaps (k,)."""
         x, r = self.discs[:, :2], self.discs[:, 2]
-        reach = NEAR * float(r.min())
+        reach = CONTACT_ZONE * float(r.min())
         pairs = cKDTree(x).query_pairs(2.0 * float(r.max()) + reach, output_type="ndarray").reshape(-1, 2)
         gap = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1) - r[pairs].sum(axis=1)
         return pairs[gap <= reach], gap[gap <= reach]
@@ -116,12 +116,12 @@ class FiberArray(FiberShape):
         places = [tuple(p) for p in (r * away / np.linalg.norm(away, axis=1, keepdims=True)).tolist()]
         low, high = np.abs(x - self._box[0]) - r, np.abs(x - self._box[1]) - r
         for axis, unit in enumerate(np.eye(2)):
-            places += [tuple((-r * unit).tolist())] if low[axis] <= NEAR * r else []
-            places += [tuple((r * unit).tolist())] if high[axis] <= NEAR * r else []
+            places += [tuple((-r * unit).tolist())] if low[axis] <= CONTACT_ZONE * r else []
+            places += [tuple((r * unit).tolist())] if high[axis] <= CONTACT_ZONE * r else []
         return tuple(places) or ((0.0, -float(r)),)
 
     def places_along(self) -> list[Array]:
-        # Parallel fibers meet along lines, which the section is fine for.
+        # Parallel fibers meet along lines: the section is fine there, layers need not be.
         return [np.zeros(0) for _ in self.fibers]
 
     def build(self, sizes: MeshSizes) -> None:
@@ -152,9 +152,9 @@ class FiberArray(FiberShape):
 
 
 def _resting_places(placed: Array, radius: float, x: float, width: float) -> Array:
-    """Centres (n, 2) where a disc lies still without overlapping others, walls at 0 and `width` or the floor.
+    """Centres (n, 2) where a disc rests without overlap with `placed` (n, 3), walls at 0 and `width`, or the floor.
 
-    It lies on two discs, on a disc and a wall or on the floor, there at `x` too. One place at least is always free.
+    The disc rests on two others, on another and a wall, or on the floor, also at `x`. At least one place is free.
     """
     on_floor = [[x, radius], [radius, radius], [width - radius, radius]]
     found = [np.array(on_floor)]
@@ -162,7 +162,7 @@ def _resting_places(placed: Array, radius: float, x: float, width: float) -> Arr
         c, reach = placed[:, :2], placed[:, 2] + radius
         for side, wall in ((-1.0, radius), (1.0, width - radius)):
             up = reach**2 - (wall - c[:, 0]) ** 2
-            # The wall holds it on one side, so the disc must be on the other.
+            # The wall supports it on one side, so the disc must be on the other.
             on = (up >= 0.0) & (side * (wall - c[:, 0]) >= 0.0)
             found.append(np.column_stack([np.full(on.sum(), wall), c[on, 1] + np.sqrt(up[on])]))
         level = reach**2 - (radius - c[:, 1]) ** 2

@@ -1,4 +1,4 @@
-"""What shapes made of many swept fibers have in common: names, groups, meshing, and what the recipe came to."""
+"""Common part of shapes of many swept fibers: names, groups, meshing, and statistics of the result."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from piezomat.meshes.builders.sweep import Section, add, sweep
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.shapes.base import Shape
 
-NEAR = 0.1  # surfaces within this many radii (of the thinnest fiber) of each other are meshed as a place of contact
-CROSSING = 0.02  # and within this many they count as touching
+CONTACT_ZONE = 0.1  # gap, in radii of the thinnest fiber, up to which cells are fine as at a place of contact
+CROSSING = 0.02  # gap, in the same radii, up to which fibers count as touching
 
 
 class FiberShape(Shape):
@@ -53,13 +53,13 @@ class FiberShape(Shape):
         return 2.0 * min(fiber.radius for fiber in self.fibers)
 
     def contacts(self, number: int) -> tuple[tuple[float, float], ...]:
-        """Points of a fiber's section, (across, up) from its centre (um), where it may touch others: top and bottom."""
+        """Points of a fiber's section (across, up), um from its centre, where it may touch others: top and bottom."""
         radius = self.fibers[number].radius
         return ((0.0, radius), (0.0, -radius))
 
     def places_along(self) -> list[Array]:
-        """Parameters of each centre line where the fiber is near another."""
-        near = near_places(self.fibers, NEAR * min(fiber.radius for fiber in self.fibers))
+        """Parameters (n,) on each centre line where the fiber is near another."""
+        near = near_places(self.fibers, CONTACT_ZONE * min(fiber.radius for fiber in self.fibers))
         fiber, along = near.fibers.ravel(), near.along.ravel()
         order = np.argsort(fiber, kind="stable")
         return np.split(along[order], np.searchsorted(fiber[order], np.arange(1, len(self.fibers))))
@@ -95,7 +95,7 @@ class FiberShape(Shape):
 
 
 def _layers(sizes: MeshSizes, fiber: Fiber, places: Array) -> Array:
-    """Parameters of the layers of nodes along a fiber, close together at places of contact."""
+    """Parameters (n,) of the layers of nodes along a fiber, close together at `places` of contact."""
     grading = Grading.of(sizes, fiber.name, fiber.radius, POINT)
 
     def size(x: Array) -> Array:
@@ -109,10 +109,11 @@ def _layers(sizes: MeshSizes, fiber: Fiber, places: Array) -> Array:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a recipe came to. Lengths in um; in 2D `areal_density` is the area of the fibers over the width.
+    """Statistics of a shape of many fibers, printed as one line. Lengths in um.
 
-    orientation: mean of cos(2 angle to x) over the length of the fibers: 1 all along x, 0 no direction, -1 along y;
-    None in 2D. smallest_gap: None where no two fibers are near each other.
+    areal_density: volume over area seen from above, in 2D area over width. orientation: mean of cos(2 angle to x) over
+    the length of the fibers: 1 all along x, 0 isotropic, -1 all along y; None in 2D. smallest_gap: None if no two
+    fibers are near each other. low, high: corners of the box around the fibers.
     """
 
     fibers: int
@@ -126,9 +127,9 @@ class Outcome:
 
     @classmethod
     def of(cls, fibers: tuple[Fiber, ...], area: float | None) -> Outcome:
-        """That of fibers in 3D in a box of this area seen from above (None: of the box around them)."""
+        """Statistics of fibers in 3D, in a box of this `area` seen from above (None: that of the box around them)."""
         thinnest = min(fiber.radius for fiber in fibers)
-        found = crossings(fibers, NEAR * thinnest)
+        found = crossings(fibers, CONTACT_ZONE * thinnest)
         extents = np.array([_extent(fiber) for fiber in fibers])
         low, high = extents[:, 0].min(axis=0), extents[:, 1].max(axis=0)
         seen = area if area is not None else float(np.prod((high - low)[:2]))
@@ -160,9 +161,9 @@ class Outcome:
 
 
 def _extent(fiber: Fiber) -> Array:
-    """Low and high (2, 3) of a fiber along each axis, or a little more.
+    """Least and largest coordinates (2, 3) of a fiber, or a little beyond.
 
-    A disc across a direction of cosine c to an axis reaches sqrt(1 - c^2) radii along it.
+    A disc normal to a direction of cosine c to an axis extends sqrt(1 - c^2) radii along that axis.
     """
     x = fiber.samples()[1]
     steps = np.diff(x, axis=0)

@@ -1,4 +1,4 @@
-"""Recipes of many fibers: arrays, plies and mats, the same for the same seed, and fibers listed in a file."""
+"""Cross plies, random mats (the same for the same seed), and fibers listed in a table."""
 
 from __future__ import annotations
 
@@ -86,11 +86,11 @@ class CrossPly(FiberShape):
 
 
 class Mat(FiberShape):
-    """3D: fibers laid one on the other at random, from z = 0 up, in a box from (0, 0) to (width, depth).
+    """3D: fibers laid on each other at random, from z = 0 up, in a box from (0, 0) to (width, depth).
 
     Fibers come to rest where they first touch; with `bend_radius` they bend over those below. Without `length` they
-    cross the box and end flush with its faces, but square to themselves where they graze a face, bend closely there or
-    are too short for sound cells (`Fiber.flush`). Bodies `fiber_1` and so on, from below.
+    cross the box and end flush with its faces. Their ends are square where they graze a face, bend closely there or are
+    too short for valid cells (`Fiber.flush`). Bodies `fiber_1` and so on, from below.
     """
 
     shape: Literal["mat"] = "mat"
@@ -164,7 +164,7 @@ class Mat(FiberShape):
         raise AssertionError("fibers are drawn without end")
 
     def _drawn(self) -> Iterator[tuple[Array, float]]:
-        """Fibers seen from above and their radii, without end."""
+        """Endless random sequence of fibers seen from above, with their radii."""
         random = np.random.default_rng(self.seed)
         spread = np.sqrt(np.log1p(self.radius_spread**2))
         while True:
@@ -193,7 +193,7 @@ class Mat(FiberShape):
         return line.mean(axis=0) + s[:, None] * along + wave[:, None] * np.array([-along[1], along[0]])
 
     def _shortened(self, line: Array) -> Array:
-        """The middle of a line, `length` long."""
+        """Middle part of a line, of the given `length`."""
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
         ends = 0.5 * s[-1] + 0.5 * self.length * np.array([-1.0, 1.0])
         inside = s[(s > ends[0]) & (s < ends[1])]
@@ -209,7 +209,7 @@ class Mat(FiberShape):
 
 
 class Fibers(FiberShape):
-    """3D: fibers of one's own, from a table with the columns fiber, x, y, z and radius (um).
+    """3D: fibers from a table with the columns fiber, x, y, z and radius (um).
 
     Each row is a point of a centre line, a smooth curve through the rows of one `fiber`, which names the body.
     """
@@ -263,7 +263,7 @@ def _length(plan: Array) -> float:
 def _cut(line: Array, width: float, depth: float) -> Array | None:
     """The longest stretch of a line of points (n, 2) inside the box; None where there is none."""
     sides = np.array([width, depth])
-    pieces: list[list[Array]] = [[]]
+    stretches: list[list[Array]] = [[]]
     for a, b in pairwise(line):
         with np.errstate(divide="ignore", invalid="ignore"):
             enter, leave = np.sort(np.stack([-a / (b - a), (sides - a) / (b - a)]), axis=0)
@@ -275,15 +275,15 @@ def _cut(line: Array, width: float, depth: float) -> Array | None:
         if first >= last:
             continue
         start, end = a + first * (b - a), a + last * (b - a)
-        if first > 0.0 or not pieces[-1]:
-            pieces.append([start])
-        pieces[-1].append(end)
-    whole = [np.array(piece) for piece in pieces if len(piece) > 1]
+        if first > 0.0 or not stretches[-1]:
+            stretches.append([start])
+        stretches[-1].append(end)
+    whole = [np.array(stretch) for stretch in stretches if len(stretch) > 1]
     return max(whole, key=_length) if whole else None
 
 
 def _faces_that_cut(plan: Array, width: float, depth: float) -> Faces:
-    """The faces of the box in which the ends of points (n, 2) lie; at an edge of the box the one it goes through."""
+    """Faces of the box that contain the ends of a line (n, 2); at an edge of the box the face that the line crosses."""
     found: list[Face | None] = []
     for end, inner in ((plan[0], plan[1]), (plan[-1], plan[-2])):
         outward = end - inner

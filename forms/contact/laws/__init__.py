@@ -1,0 +1,1 @@
+"""Laws of a contact point: penalty, cohesive, Lennard-Jones, viscous."""
