@@ -17,6 +17,7 @@ from piezomat.discretization.model import Model
 from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_of_plane
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.reactions import reaction
+from piezomat.scene.tables import markdown
 from piezomat.solver.load_steps import Step, StepReport
 
 AXES = ("x", "y", "z")
@@ -286,9 +287,9 @@ def pair_rows(contact: Interfaces, model: Model) -> list[tuple[str, list[float |
 
 def columns_table() -> str:
     """The columns as a table in Markdown: name, unit, meaning."""
-    lines = ["| column | unit | meaning |", "|---|---|---|"]
-    for group in GROUPS:
-        for q in group.quantities:
-            name = f"`{q.name.replace(PLACE, group.symbol).replace(AXIS, 'x')}`{' ...' if AXIS in q.name else ''}"
-            lines.append(f"| {name} | {q.unit} | {q.meaning} |")
-    return "\n".join(lines)
+    rows = [
+        (f"`{q.name.replace(PLACE, g.symbol).replace(AXIS, 'x')}`{' ...' if AXIS in q.name else ''}", q.unit, q.meaning)
+        for g in GROUPS
+        for q in g.quantities
+    ]
+    return markdown(("column", "unit", "meaning"), rows)

@@ -56,7 +56,7 @@ Geometry = Annotated[
 class SceneData(Keys):
     """The keys of a scene file and what they amount to. Units um, uN, MPa, V, pC, pJ."""
 
-    title: Name = Field("scene", description="default: the name of the file")
+    title: Name = Field("scene", description="names the run in picture and messages; of a file without title its name")
     geometry: Geometry = Field(description="a built shape or a gmsh mesh file")
     mesh: MeshKeys = Field(default_factory=MeshKeys)
     model: ModelKeys = Field(default_factory=ModelKeys)

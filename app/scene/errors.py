@@ -138,13 +138,13 @@ def allowed_at(path: Path, data: Any, schema: dict[str, Any]) -> str:
 
 def describe(node: dict[str, Any], schema: dict[str, Any]) -> str:
     """What a node of a JSON schema allows, in words."""
-    node = _resolved(node, schema)
+    node = resolved(node, schema)
     if "const" in node:
         return shown(node["const"])
     if "enum" in node:
         return " or ".join(shown(value) for value in node["enum"])
-    branches = [describe(branch, schema) for branch in _branches(node) if branch.get("type") != "null"]
-    choices = list(dict.fromkeys(branches))
+    described = [describe(branch, schema) for branch in branches(node) if branch.get("type") != "null"]
+    choices = list(dict.fromkeys(described))
     if choices:
         enclosed = [f"({choice})" if ", " in choice else choice for choice in choices]
         return " or ".join(enclosed) if len(choices) > 1 else choices[0]
@@ -176,9 +176,9 @@ def _unknown_key(path: Path, data: Any, schema: dict[str, Any]) -> SceneError:
 
 def _all_keys(node: dict[str, Any], schema: dict[str, Any], path: Path = ()) -> Iterator[Path]:
     """The paths of all keys of the schema that lie in no list and under no name of the user's choice."""
-    for name, inner in _resolved(node, schema).get("properties", {}).items():
+    for name, inner in resolved(node, schema).get("properties", {}).items():
         yield (*path, name)
-        for branch in _branches(inner) or [inner]:
+        for branch in branches(inner) or [inner]:
             yield from _all_keys(branch, schema, (*path, name))
 
 
@@ -202,10 +202,10 @@ def _matching(node: dict[str, Any], data: Any, schema: dict[str, Any]) -> dict[s
         return max(
             tables,
             key=lambda leaf: len(data.keys() & leaf.get("properties", {})),
-            default=_resolved(node, schema),
+            default=resolved(node, schema),
         )
     lists = [leaf for leaf in leaves if leaf.get("type") == "array"]
-    return lists[0] if isinstance(data, list) and len(lists) == 1 else _resolved(node, schema)
+    return lists[0] if isinstance(data, list) and len(lists) == 1 else resolved(node, schema)
 
 
 def _contradicts(table: dict[str, Any], data: dict[str, Any]) -> bool:
@@ -215,19 +215,20 @@ def _contradicts(table: dict[str, Any], data: dict[str, Any]) -> bool:
 
 def _leaves(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """The alternatives of a node, itself where it has none."""
-    node = _resolved(node, schema)
-    branches = _branches(node)
-    if not branches:
+    node = resolved(node, schema)
+    choices = branches(node)
+    if not choices:
         yield node
-    for branch in branches:
+    for branch in choices:
         yield from _leaves(branch, schema)
 
 
-def _branches(node: dict[str, Any]) -> list[dict[str, Any]]:
+def branches(node: dict[str, Any]) -> list[dict[str, Any]]:
+    """The alternatives that a node names, none where it names none."""
     return node.get("anyOf") or node.get("oneOf") or []
 
 
-def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
+def resolved(node: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
     """The node with its reference followed."""
     reference = node.get("$ref")
     return schema["$defs"][reference.rsplit("/", 1)[-1]] if reference else node

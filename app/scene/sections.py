@@ -79,11 +79,11 @@ class ModelKeys(Keys):
 class PiezoKeys(Keys):
     """Piezoelectric stress constants by name, pC/um2."""
 
-    e31: float
-    e32: float
-    e33: float
-    e15: float = 0.0
-    e24: float = 0.0
+    e31: float = Field(description="stress along axis 1 for a field along axis 3, the poling")
+    e32: float = Field(description="along axis 2")
+    e33: float = Field(description="along axis 3")
+    e15: float = Field(0.0, description="shear in the plane of axes 1 and 3 for a field along axis 1")
+    e24: float = Field(0.0, description="shear in the plane of axes 2 and 3 for a field along axis 2")
 
 
 class MaterialKeys(Keys):
@@ -244,7 +244,7 @@ class Plane(Keys):
 class Adhesion(Keys):
     """[contact.adhesion]: tension that the contact carries; absent: none."""
 
-    law: Literal["cutoff", "bilinear", "lennard_jones"]
+    law: Literal["cutoff", "bilinear", "lennard_jones"] = Field(description="tension over the opening of the gap")
     strength: Positive = Field(description="largest tension, MPa")
     energy: Positive | None = Field(None, description="work of separation, pJ/um2")
     range: Positive | None = Field(None, description="um, for law cutoff instead of energy")
@@ -359,5 +359,5 @@ class Solver(Keys):
 class Output(Keys):
     """[output]: what is written beside history and summary."""
 
-    fields: Literal["none", "end", "all"] = "end"
-    picture: bool = True
+    fields: Literal["none", "end", "all"] = Field("end", description="after which steps fields and contact points are")
+    picture: bool = Field(True, description="whether picture.png is drawn at the end")
