@@ -8,6 +8,7 @@ from mpi4py import MPI
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import FADE
 from piezomat.discretization.model import Model
+from piezomat.discretization.prescribed_motion import largest_prescribed_voltage
 from piezomat.forms import fenicsx
 from piezomat.scene.errors import named
 from piezomat.solver.linear import direct_limit_3d, is_direct
@@ -116,7 +117,7 @@ def _electric(model: Model, contact: Interfaces | None) -> list[tuple[str, str]]
     fades = [p.law.fade for p in contact.point_sets if p.law.fade is not None] if contact is not None else []
     if not model.comm.allreduce(len(fades)):
         return []
-    keys, voltage = model.scene.contact, model.largest_voltage()
+    keys, voltage = model.scene.contact, largest_prescribed_voltage(model)
     if keys is not None and keys.electric_range is not None:
         text = f"fades out over a gap of {keys.electric_range:g} um, as the scene asks"
     else:

@@ -14,7 +14,7 @@ from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import Pairs, SurfacePair
 from piezomat.discretization.model import Model
-from piezomat.discretization.prescribed_motion import largest_prescribed_motion
+from piezomat.discretization.prescribed_motion import largest_prescribed_motion, largest_prescribed_voltage
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
@@ -268,7 +268,9 @@ def _interface_law(
         if keys.electric_range is not None:
             fade = np.full(len(size), keys.electric_range)
         else:
-            fade = np.maximum(FADE * size, stable_electric_range(model.largest_voltage(), permittivity, stiffness))
+            fade = np.maximum(
+                FADE * size, stable_electric_range(largest_prescribed_voltage(model), permittivity, stiffness)
+            )
     adhesion = _adhesion(model, penalty) if adhesive else None
     return InterfaceLaw(penalty, adhesion, electric, fade)
 

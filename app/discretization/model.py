@@ -95,17 +95,6 @@ class Model:
         x.copy(self._vector)
         self._vector.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
 
-    def largest_voltage(self) -> float:
-        """Largest difference of the potentials that boundaries and planes prescribe at once, V."""
-        load, largest = self.scene.load, 0.0
-        for stage in range(-1, len(load.steps)):
-            factors = {name: values[stage] if stage >= 0 else 0.0 for name, values in load.factors.items()}
-            given = [(b.potential, b.follows) for b in self.scene.boundaries]
-            given += [(p.potential, p.potential_follows) for p in self.scene.planes]
-            values = [v * (factors[name] if name is not None else 1.0) for v, name in given if v is not None]
-            largest = max(largest, max(values, default=0.0) - min(values, default=0.0))
-        return largest
-
     def mean_potential(self, condition: Condition) -> float:
         """Mean of the potential over a boundary at `state`, V. Collective."""
         psi = self.state.x.array.reshape(-1, self.unknowns.block)[condition.nodes, self.dim]
@@ -119,17 +108,3 @@ class Model:
         touched = np.zeros(self.unknowns.local)
         touched[nodes[dielectric[self.bodies.cell_body[: len(nodes)]]]] = 1.0
         return fenicsx.sum_over_ranks(self.unknowns.space, touched) > 0.0
-
-    # For call sites that are not converted yet.
-    space = property(lambda self: self.unknowns.space)
-    block = property(lambda self: self.unknowns.block)
-    owned = property(lambda self: self.unknowns.owned)
-    coordinates = property(lambda self: self.unknowns.coordinates)
-    fixed = property(lambda self: self.constraints.fixed)
-    fixed_global = property(lambda self: self.constraints.fixed_global)
-    node_part = property(lambda self: self.parts.node_part)
-    part_size = property(lambda self: self.parts.size)
-    part_thickness = property(lambda self: self.parts.thickness)
-    volume = property(lambda self: self.parts.volume)
-    groups = property(lambda self: self.constraints.groups)
-    conditions = property(lambda self: self.constraints.conditions)

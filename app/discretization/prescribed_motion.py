@@ -1,4 +1,4 @@
-"""Prescribed motion: how far boundaries and rigid planes are moved, from one load level to another and in a whole run.
+"""Prescribed motion and voltage: how far boundaries and rigid planes are moved, and how far apart potentials are.
 
 The contact search looks as far as surfaces may move in a step, a body that has moved much further than what moves it
 has flown, and the work on contact is shared out among ranks by what may come to touch at all.
@@ -33,3 +33,15 @@ def largest_prescribed_motion(model: Model) -> float:
     load = model.scene.load
     ends = [{name: values[stage] for name, values in load.factors.items()} for stage in range(len(load.steps))]
     return max((prescribed_motion(model, end) for end in ends), default=0.0)
+
+
+def largest_prescribed_voltage(model: Model) -> float:
+    """Largest difference of the potentials that boundaries and planes prescribe at once, V. Not collective."""
+    scene, largest = model.scene, 0.0
+    for stage in range(-1, len(scene.load.steps)):
+        factors = {name: values[stage] if stage >= 0 else 0.0 for name, values in scene.load.factors.items()}
+        given = [(b.potential, b.follows) for b in scene.boundaries]
+        given += [(p.potential, p.potential_follows) for p in scene.planes]
+        values = [v * (factors[name] if name is not None else 1.0) for v, name in given if v is not None]
+        largest = max(largest, max(values, default=0.0) - min(values, default=0.0))
+    return largest

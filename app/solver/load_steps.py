@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.uzawa import augment
-from piezomat.discretization.prescribed_motion import Factors, prescribed_motion
+from piezomat.discretization.prescribed_motion import Factors, largest_prescribed_voltage, prescribed_motion
 from piezomat.forms.contact.laws.interface import stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
@@ -189,7 +189,9 @@ class Stepper:
             float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.point_sets if p.law.fade is not None
         ]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
-        voltage = model.largest_voltage()  # what the bodies make of their strain has never pulled them together
+        voltage = largest_prescribed_voltage(
+            model
+        )  # what the bodies make of their strain has never pulled them together
         permittivity = min((m.mean_permittivity for m in model.materials if m.electric), default=0.0)
         wanted = stable_electric_range(voltage, permittivity, min(m.mean_stiffness for m in model.materials))
         if fade >= PULLED_IN * wanted:

@@ -1,0 +1,80 @@
+"""Constraints: what boundaries fix, at which values, and what they measure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from piezomat.discretization.model import Model
+from piezomat.forms.arrays import Array
+from tests.discretization.models import DEPTH, HEIGHT, WIDTH, blocks
+
+pytestmark = pytest.mark.mpi
+
+ROWS: list[dict[str, Any]] = [
+    {"on": "bottom", "displacement": [0, 0.5], "potential": 3.0},
+    {"on": "left", "displacement": [0.25, "free"], "follows": "push"},
+]
+
+
+def prescribed(model: Model, factors: dict[str, float]) -> tuple[Array, Array]:
+    """Values (owned, block) that are prescribed, not a number where none is, and coordinates (owned, 2)."""
+    unknowns, constraints = model.unknowns, model.constraints
+    values = np.full(unknowns.owned * unknowns.block, np.nan)
+    values[constraints.fixed] = constraints.values(factors)
+    values = values.reshape(unknowns.owned, unknowns.block)
+    np.testing.assert_array_equal(constraints.is_fixed, ~np.isnan(values))
+    return values, unknowns.coordinates[: unknowns.owned]
+
+
+def test_values_follow_the_load_factor_and_the_first_row_wins(comm: MPI.Comm) -> None:
+    model = blocks(comm, boundaries=ROWS, load={"steps": [1], "factors": {"push": [1.0]}})
+    values, x = prescribed(model, {"push": 2.0})
+    bottom = np.isclose(x[:, 1], 0.0)
+    left = np.isclose(x[:, 0], 0.0) & ~bottom
+    np.testing.assert_array_equal(values[bottom, :2], np.tile([0.0, 0.5], (bottom.sum(), 1)))
+    np.testing.assert_allclose(values[bottom, 2] * model.potential_scale, 3.0)
+    np.testing.assert_array_equal(values[left, 0], 0.5)
+    assert np.isnan(values[left, 1]).all()
+    free = ~bottom & ~left
+    assert np.isnan(values[free, :2]).all()
+    moves = model.constraints.fixed_displacements()
+    assert comm.allreduce(int(moves.sum())) == comm.allreduce(int(2 * bottom.sum() + left.sum()))
+
+
+def test_without_a_permittivity_the_potential_is_fixed_at_zero(comm: MPI.Comm) -> None:
+    """The upper block carries no potential; where the blocks lie on each other only its own nodes are fixed."""
+    model = blocks(comm, boundaries=ROWS, load={"steps": [1], "factors": {"push": [1.0]}})
+    values, x = prescribed(model, {"push": 1.0})
+    upper = model.parts.node_part[: len(x)] == 1
+    np.testing.assert_array_equal(values[upper, 2], 0.0)
+    assert np.isnan(values[~upper & ~np.isclose(x[:, 1], 0.0), 2]).all()
+
+
+def test_elimination_and_zeros(comm: MPI.Comm) -> None:
+    model = blocks(comm, boundaries=ROWS, load={"steps": [1], "factors": {"push": [1.0]}})
+    constraints, vector = model.constraints, model.new_vector()
+    vector.set(1.0)
+    constraints.set_zero(vector)
+    np.testing.assert_array_equal(vector.array_r == 0.0, constraints.is_fixed.ravel())
+    first, last = vector.getOwnershipRange()
+    np.testing.assert_array_equal(constraints.fixed_global, first + constraints.fixed)
+    assert last - first == constraints.is_fixed.size
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_measures_of_a_boundary(dimension: int, comm: MPI.Comm) -> None:
+    """Area, normal and the nodes' shares of it: exact on flat sides."""
+    sides = {"top": dimension - 1, "right": 0}
+    model = blocks(comm, dimension, boundaries=[{"on": on, "displacement": [0] * dimension} for on in sides])
+    depth = DEPTH if dimension == 3 else 1.0
+    areas = {"top": WIDTH * depth, "right": 2 * HEIGHT * depth}
+    for (on, axis), condition in zip(sides.items(), model.constraints.conditions, strict=True):
+        assert condition.area == pytest.approx(areas[on])
+        np.testing.assert_allclose(condition.normal, areas[on] * np.eye(dimension)[axis], atol=1e-12)
+        assert comm.allreduce(condition.weights.sum()) == pytest.approx(areas[on])
+        x = model.unknowns.coordinates[condition.nodes, axis]
+        np.testing.assert_allclose(x, 2 * HEIGHT if on == "top" else WIDTH)
