@@ -1,7 +1,7 @@
 """The commands `run plan mesh view resume schema`; README.md says what each does and its exit status.
 
-Rank 0 alone reads and prints. What it finds, a scene or an error, goes to every rank, so that all exit alike.
-DOLFINx, gmsh and VTK are imported by the commands that need them: a wrong scene is told at once.
+Rank 0 alone reads and prints. What it reads, or its error, goes to every rank, so that all exit alike.
+DOLFINx, gmsh and VTK are imported by the commands that need them: a wrong scene is reported at once.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Exit status of the command line `argv` (default: that of the process). Collective over all ranks."""
     comm = MPI.COMM_WORLD
     options: Any = None
-    # What a run logs is in its log.txt; the terminal gets progress and the last word.
+    # The log of a run is its log.txt; the terminal gets the progress and the outcome.
     logger = logging.getLogger("piezomat")
     logger.propagate = False
     if not logger.handlers:

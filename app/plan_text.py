@@ -119,7 +119,7 @@ def _electric(model: Model, contact: Interfaces | None) -> list[tuple[str, str]]
         return []
     keys, voltage = model.scene.contact, largest_prescribed_voltage(model)
     if keys is not None and keys.electric_range is not None:
-        text = f"fades out over a gap of {keys.electric_range:g} um, as the scene asks"
+        text = f"fades out over a gap of {keys.electric_range:g} um, given by the scene"
     else:
         least = model.comm.allreduce(min(float(f.min(initial=np.inf)) for f in fades), op=MPI.MIN)
         why = f", or what keeps surfaces {voltage:g} V apart from pulling each other in" if voltage else ""
@@ -174,7 +174,7 @@ def _linear_solver(model: Model) -> str:
     direct = is_direct(model)
     name = "direct (MUMPS)" if direct else f"FGMRES{_multigrid(model)}"
     if keys.kind != "auto":
-        return f"{name}, as the scene asks"
+        return f"{name}, chosen by the scene"
     if model.dim == 2:
         return f"{name}, since the model is two-dimensional"
     relation = "at most" if direct else "more than"
@@ -186,13 +186,11 @@ def _multigrid(model: Model) -> str:
     if model.has_unconstrained_bodies:
         boxes = "two-level multigrid over boxes of each body"
         return f"{split}{boxes} and algebraic multigrid" if model.electric else f" with {boxes}"
-    return (
-        f"{split}algebraic multigrid on each" if model.electric else " with algebraic multigrid that knows rigid bodies"
-    )
+    return f"{split}algebraic multigrid on each" if model.electric else " with algebraic multigrid (rigid-body modes)"
 
 
 def _memory_mb(model: Model) -> float:
-    """Base of a rank, four copies of the matrix, and the factors as George and Liu's estimates of fill grow."""
+    """Estimated memory: a base for each rank, four copies of the matrix, and factors with George and Liu's fill."""
     n = model.unknowns.total
     neighbours = {2: (7, 20), 3: (15, 60)}[model.dim][model.bodies.order - 1]
     matrix = 4 * 12 * n * neighbours * model.unknowns.block

@@ -1,4 +1,4 @@
-"""The story of one run: mesh, model, contact, load steps, results."""
+"""One run from the scene to the results: mesh, model, contact, load steps, files."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import Results
 from piezomat.results.quantities import columns, pair_columns, pair_rows, row
-from piezomat.results.ranks import described, shares
+from piezomat.results.ranks import described, load_per_rank
 from piezomat.scene import Scene, SceneError
+from piezomat.scene.checks import OVERLAP
 from piezomat.scene.errors import mesh_error, named
 from piezomat.solver.linear import Direct, Multigrid
 from piezomat.solver.load_steps import Step, Stepper, StepReport, steps
@@ -38,20 +39,21 @@ from piezomat.usage import Timer
 
 log = logging.getLogger("piezomat")
 
-OVERLAP = 0.1  # bodies that overlap by more than this share of their size at the start are a mistake in the scene
-
 
 class NotConverged(RuntimeError):
     """The run ended before its last step; the message says why and what is kept. Raised on all ranks."""
 
 
 class Interrupted(RuntimeError):
-    """The run was told to stop; the message says what is kept. Raised on all ranks."""
+    """A signal has ended the run; the message says what is kept. Raised on all ranks."""
 
 
 @dataclass
 class Run:
-    """What a run leaves: the history (a dict a row), the model with the last state, the mesh of bodies."""
+    """A finished run.
+
+    history: a row for each load step, by column. model, problem: with the last state. bodies: the mesh.
+    """
 
     history: list[dict[str, Any]]
     model: Model
@@ -72,10 +74,11 @@ def run(
     resume: bool = False,
     partition: Partition | None = None,
 ) -> Run:
-    """Run a scene and return its history and last state; with `out`, write the results there. Collective.
+    """History and last state of a scene; with `out`, its results are written there. Collective.
 
-    `resume` goes on from the checkpoint in `out`, on any number of ranks. `partition` forces which rank gets which
-    cell (tests). Raises SceneError before any work, NotConverged or Interrupted with what converged kept in `out`.
+    resume: continue from the checkpoint in `out`, on any number of ranks. partition: which rank gets which cell (for
+    tests). SceneError: the scene is wrong; raised before any work. NotConverged, Interrupted: the steps that converged
+    are kept in `out`.
     """
     timer = Timer()
     with tempfile.TemporaryDirectory() as scratch, stop_on_signal(comm) as stop:
@@ -94,7 +97,7 @@ def run(
         session = _Session(scene, comm, out, timer, model, problem, stepper, balance)
         try:
             session.open(resume, saved)
-            session.march(stop)
+            session.take_steps(stop)
         finally:
             session.close()
             newton.close()
@@ -104,7 +107,11 @@ def run(
 
 @dataclass
 class _Session:
-    """The marching part of a run with its results; without `out` nothing is written."""
+    """The load steps of a run and their results; without `out` nothing is written.
+
+    history: rows of the steps that have converged. last_step (int): number of the last of them, 0 for none.
+    results: the files of the run, None without `out`.
+    """
 
     scene: Scene
     comm: MPI.Comm
@@ -123,21 +130,21 @@ class _Session:
         self._fields: FieldOutput | None = None
 
     def open(self, resume: bool, saved: Path) -> None:
-        """Start the result files, or take up those of an interrupted run."""
+        """Start the result files, or continue those of an interrupted run."""
         names = columns(self.problem)
         if self.results is None:
             return
         with self.timer("output"):
             if resume:
-                self._restore(names)
+                self._resume(names)
                 return
             self.results.start(self.scene.to_toml(), names)
             folder = self.out / "checkpoint"
-            on_root(self.comm, lambda: _install(saved, folder / "mesh.msh"))
+            on_root(self.comm, lambda: _copy_mesh(saved, folder / "mesh.msh"))
             self._save_checkpoint()
 
-    def march(self, stop: StopRequest) -> None:
-        """Take the load steps that are left, and write what the scene asks for."""
+    def take_steps(self, stop: StopRequest) -> None:
+        """Take the load steps that are left and write the results of each. Raises NotConverged or Interrupted."""
         todo = [step for step in steps(self.scene.load) if step.number > self.last_step]
         progress = Progress(self.comm, self.scene.title, self.last_step + len(todo), self.last_step)
         reason = "all load steps converged"
@@ -148,23 +155,23 @@ class _Session:
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
             for step in todo:
                 if stop.requested():
-                    failure = Interrupted(f"interrupted: {self._kept()}")
+                    failure = Interrupted(f"interrupted: {self._what_is_kept()}")
                     break
                 began = perf_counter()
                 try:
                     report = self.stepper.advance(step, lambda factors: self.balance.add_part())
                 except SolveError as error:
-                    failure = NotConverged(f"{error}; {self._kept()}")
+                    failure = NotConverged(f"{error}; {self._what_is_kept()}")
                     break
-                self._finish(step, report, self.comm.bcast(perf_counter() - began))
+                self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
-        alone = left_alone(self.model, self._touched) if self.history and self.problem.contact is not None else []
-        if alone:
-            log.warning("held by weak springs alone, these bodies never touched anything: %s", named(alone))
+        untouched = left_alone(self.model, self._touched) if self.history and self.problem.contact is not None else []
+        if untouched:
+            log.warning("held by weak springs alone, these bodies never touched anything: %s", named(untouched))
         if failure is not None:
             reason = str(failure)
             log.error("%s", reason)
-            self._go_back()
+            self._restore_last_step()
         self.problem.refresh()
         self._conclude(failure is None, reason)
         if failure is not None:
@@ -175,37 +182,37 @@ class _Session:
         if self.results is not None:
             self.results.close()
 
-    def _finish(self, step: Step, report: StepReport, seconds: float) -> None:
+    def _record(self, step: Step, report: StepReport, seconds: float) -> None:
         self.history.append(row(self.problem, self.balance, step, report, seconds))
         self.last_step = step.number
         if self.problem.contact is not None:
             self._touched |= touching_bodies(self.model, self.problem.contact)
-        self._remember()
+        self._keep_state()
         if self.results is None:
             return
         with self.timer("output"):
             # The checkpoint holds the history too and comes after the fields: a run killed between any two of these
-            # writes loses nothing, since it does again what the checkpoint does not know of.
+            # writes loses nothing, since on resuming it repeats what is not in the checkpoint.
             if self.scene.output.fields == "all":
                 self._write_fields()
             self._write_pairs()
             self._save_checkpoint()
             self.results.row(self.history[-1])
 
-    def _remember(self) -> None:
-        """Keep the state at the end of a step: a later step may fail after some of its parts have converged."""
+    def _keep_state(self) -> None:
+        """Copy the state at the end of a step: a later step may fail after some of its parts have converged."""
         self._kept_state = self.problem.state.copy()
         contact = self.problem.contact
-        self._kept_memories = [p.snapshot() for p in contact.point_sets] if contact is not None else []
+        self._kept_contact = [p.snapshot() for p in contact.point_sets] if contact is not None else []
 
-    def _go_back(self) -> None:
+    def _restore_last_step(self) -> None:
         """Return to the end of the last step that converged as a whole, with contact evaluated there."""
         if self.last_step == 0:
             return
         self._kept_state.copy(self.problem.state)
         if self.problem.contact is not None:
-            for p, memory in zip(self.problem.contact.point_sets, self._kept_memories, strict=True):
-                p.restore(memory)
+            for p, kept in zip(self.problem.contact.point_sets, self._kept_contact, strict=True):
+                p.restore(kept)
             factors = {name: self.history[-1][f"factor:{name}"] for name in self.scene.load.factors}
             self.problem.contact.move_planes(factors)
         self.stepper.revisit()
@@ -218,9 +225,9 @@ class _Session:
             if self.history and self.scene.output.fields == "end":
                 self._write_fields()
         cells = self.model.mesh.topology.index_map(self.model.dim).size_global
-        held = shares(self.problem)
+        loads = load_per_rank(self.problem)
         if self.comm.size > 1:
-            log.info("%s", described(held))
+            log.info("%s", described(loads))
         self.results.summary(
             {
                 "title": self.scene.title,
@@ -230,7 +237,7 @@ class _Session:
                 "cells": cells,
                 "bodies": list(self.model.bodies.bodies),
                 "timings": self.timer.timings(self.comm),
-                "shares": held,
+                "shares": loads,
             }
         )
         if self.scene.output.picture and self.history:
@@ -255,14 +262,14 @@ class _Session:
         folder = self.out / "checkpoint"
         restart.save(folder, self.last_step, self.problem, self.stepper, self.balance, self.history)
 
-    def _restore(self, names: list[str]) -> None:
+    def _resume(self, names: list[str]) -> None:
         folder = self.out / "checkpoint"
         self.last_step, self.history = restart.load(folder, self.problem, self.stepper, self.balance)
-        self._remember()
-        self._go_back()
+        self._keep_state()
+        self._restore_last_step()
         self.results.resume(names, self.last_step, self.history)
 
-    def _kept(self) -> str:
+    def _what_is_kept(self) -> str:
         where = f" in {self.out}" if self.out is not None else ""
         if self.last_step == 0:
             return "no step had converged"
@@ -299,7 +306,7 @@ def _mesh(
         raise mesh_error(error) from None
 
 
-def _install(saved: Path, target: Path) -> None:
+def _copy_mesh(saved: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     with replacing(target) as part:
         shutil.copyfile(saved, part)

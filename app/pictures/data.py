@@ -96,7 +96,7 @@ class Bodies:
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactData:
     """The contact points of all ranks at a step (see `ContactPoints`)."""
 
     position: Array
@@ -111,11 +111,11 @@ class Contact:
         """Which points touch or are bonded."""
         return (self.status == STATUS.index("touching")) | (self.status == STATUS.index("bonded"))
 
-    def of(self, chosen: NDArray[np.bool_]) -> Contact:
+    def of(self, chosen: NDArray[np.bool_]) -> ContactData:
         """Some of the points."""
-        return Contact(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+        return ContactData(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
-    def main(self) -> Contact:
+    def main(self) -> ContactData:
         """The points of the pair that carries most; of the one that comes closest where none carries."""
         pairs = np.unique(self.pair)
         carried = [np.abs(self.pressure[self.pair == pair]).sum() for pair in pairs]
@@ -132,14 +132,14 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Run:
-    """Everything shown of a run. names: of its bodies, where the summary tells them, and of its planes."""
+class RunData:
+    """Everything shown of a run. names: of its bodies, if there is a summary, and of its planes."""
 
     title: str
     history: list[dict[str, Value]]
     step: int | None
     bodies: Bodies | None
-    contact: Contact | None
+    contact: ContactData | None
     names: tuple[Sequence[str], Sequence[str]] = ((), ())
 
     @property
@@ -186,7 +186,7 @@ def frame(normal: Array) -> tuple[Array, Array, Array]:
     return unit, first, second * (1.0 if second[np.argmax(np.abs(second))] > 0 else -1.0)
 
 
-def read_run(directory: Path) -> Run:
+def read_run(directory: Path) -> RunData:
     """The run of a folder at the step to be shown. ResultsError: no results, or unreadable ones.
 
     That is the last step with fields; but if nothing touches any more in it, the one with fields and the
@@ -202,7 +202,7 @@ def read_run(directory: Path) -> Run:
     entry, scene = _shown(directory, history, fields, contacts), _scene(directory)
     step = entry.step if entry else None
     contact_entry = next((e for e in contacts if e.step == step), contacts[-1] if contacts and not fields else None)
-    return Run(
+    return RunData(
         title=str(scene.get("title") or directory.resolve().name),
         history=history,
         step=step if step is not None or contact_entry is None else contact_entry.step,
@@ -291,7 +291,7 @@ def _merge(points: Array, cells: Integers, body: Integers) -> tuple[Integers, In
     return node[first], which.reshape(-1)[place].reshape(cells.shape)
 
 
-def _read_contact(directory: Path, entry: IndexEntry) -> Contact | None:
+def _read_contact(directory: Path, entry: IndexEntry) -> ContactData | None:
     parts = [part for part in _read(directory, entry) if part.n_points]
     if not parts:
         return None
@@ -299,7 +299,7 @@ def _read_contact(directory: Path, entry: IndexEntry) -> Contact | None:
     def all_of(name: str) -> NDArray[Any]:
         return np.concatenate([np.asarray(part[name]) for part in parts])
 
-    return Contact(
+    return ContactData(
         position=np.vstack([part.points for part in parts]).astype(float),
         normal=all_of("normal"),
         gap=all_of("gap"),

@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from piezomat.pictures.data import Array, Bodies, Contact, Integers, Run, magnification, prefixed, read_run
+from piezomat.forms.arrays import Array, Integers
+from piezomat.pictures.data import Bodies, ContactData, RunData, magnification, prefixed, read_run
 from piezomat.pictures.plots import (
     DARK,
     GREY,
@@ -73,7 +74,7 @@ def view(directory: Path) -> list[Path]:
     return [path]
 
 
-def draw(run: Run) -> Figure:
+def draw(run: RunData) -> Figure:
     """The figure of a run; the axes of a panel have its name as label: bodies, zone, pressure, curves."""
     panels: dict[str, Callable[[Any], None]] = {}
     bodies, contact = run.bodies, run.contact
@@ -149,7 +150,7 @@ def _field(bodies: Bodies) -> Field:
     return Field(values, label, (low, high), extend)
 
 
-def _zone(bodies: Bodies, contact: Contact) -> Zone | None:
+def _zone(bodies: Bodies, contact: ContactData) -> Zone | None:
     """The zone of contact of one pair; None where it is no small part of the bodies, or far from touching."""
     closed = contact.closed
     if not closed.any() and contact.gap.min() > 0.5 * bodies.size:
@@ -175,7 +176,7 @@ def _draw_bodies(ax: Any, bodies: Bodies, field: Field, zone: Zone | None) -> No
         image = render(bodies, factor, field.values, field.limits, FIELD_COLOURS, GREY)
         ax.imshow(image.pixels, extent=image.extent, interpolation="lanczos")
         ax.set_title(title, **TITLE)
-        _draw_foot(ax, image)
+        _draw_axes_and_scale(ax, image)
         return
     _draw_outline(ax, bodies.points, bodies.outline, color=GREY, linewidth=1.6, zorder=1)
     _draw_mesh_2d(ax, bodies, deformed, field)
@@ -240,7 +241,7 @@ def _draw_zone(ax: Any, bodies: Bodies, field: Field, zone: Zone) -> None:
     ax.set_ylabel(f"{direction_name(zone.up)} (µm)", **LABEL)
 
 
-def _draw_foot(ax: Any, image: Image) -> None:
+def _draw_axes_and_scale(ax: Any, image: Image) -> None:
     """Below the image: the axes' directions, and a bar of a round length, true for what lies in its plane."""
     left, right, bottom, top = image.extent
     width, foot = right - left, 0.16 * (top - bottom)

@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from piezomat.forms.arrays import Array
-from piezomat.pictures.data import Contact, Run, prefixed
+from piezomat.pictures.data import ContactData, RunData, prefixed
 from piezomat.results.vtk import STATUS
 
 PRESSURE_COLOURS = "plasma"
@@ -23,7 +23,7 @@ TITLE, LABEL = {"fontsize": 12}, {"fontsize": 11}
 _FORCE = re.compile(r"(?P<contact>contact_)?force_(?P<axis>[xyz])@(?P<place>.+)")
 
 
-def draw_pressure_2d(ax: Any, contact: Contact, name_of: Callable[[int], str]) -> None:
+def draw_pressure_2d(ax: Any, contact: ContactData, name_of: Callable[[int], str]) -> None:
     """Pressure over the position along the contact; several pairs are laid middle on middle.
 
     The eight pairs with the largest pressures are named.
@@ -59,7 +59,7 @@ def draw_pressure_2d(ax: Any, contact: Contact, name_of: Callable[[int], str]) -
     _head(ax, "Contact pressure", *ax.get_legend_handles_labels())
 
 
-def draw_pressure_3d(ax: Any, contact: Contact) -> None:
+def draw_pressure_3d(ax: Any, contact: ContactData) -> None:
     """Closed contact points seen along the mean normal, coloured by the pressure; the bonded ones ringed."""
     normal, first, second = contact.axes
     places = contact.position @ np.column_stack([first, second])
@@ -93,7 +93,7 @@ def draw_pressure_3d(ax: Any, contact: Contact) -> None:
     _head(ax, title, *ax.get_legend_handles_labels())
 
 
-def forces_shown(run: Run) -> list[tuple[str, str]]:
+def forces_shown(run: RunData) -> list[tuple[str, str]]:
     """Columns and labels of the forces to be shown: of each contact pair its largest component, else of the
     boundary with the largest force. None where all are zero but for rounding."""
     best: dict[tuple[bool, str], tuple[float, str, str]] = {}
@@ -115,7 +115,7 @@ def forces_shown(run: Run) -> list[tuple[str, str]]:
     return [(name, text) for _, name, text in contacts or boundaries]
 
 
-def voltage_shown(run: Run) -> tuple[str, str, str] | None:
+def voltage_shown(run: RunData) -> tuple[str, str, str] | None:
     """Column, label and unit of the electric curve.
 
     The mean potential that varies most over the steps; if none does, the charge that does; if neither does,
@@ -139,7 +139,7 @@ def voltage_shown(run: Run) -> tuple[str, str, str] | None:
     return None
 
 
-def draw_curves(ax: Any, run: Run, forces: list[tuple[str, str]], voltage: tuple[str, str, str] | None) -> None:
+def draw_curves(ax: Any, run: RunData, forces: list[tuple[str, str]], voltage: tuple[str, str, str] | None) -> None:
     """Force (left axis) and voltage or charge (right axis) over the load steps."""
     steps = run.column("step")
     per_depth = "/µm" if run.flat else ""
@@ -173,7 +173,7 @@ def draw_curves(ax: Any, run: Run, forces: list[tuple[str, str]], voltage: tuple
 
 
 def _curve(ax: Any, steps: Array, values: Array, text: str, unit: str, colour: str, style: str) -> list[Any]:
-    """A curve, with marks where they can be told apart; a single mark carries its value."""
+    """A curve, with marks if there are few steps; a single mark carries its value."""
     style = style if len(steps) <= 60 else style[:-1]
     drawn = ax.plot(steps, values, style, color=colour, markersize=4 if len(steps) > 1 else 8, label=text)
     if len(steps) == 1:
@@ -204,7 +204,7 @@ def _colour_axis(ax: Any, label: str, colour: str) -> None:
 
 
 def plain(text: str) -> str:
-    """The text as it is: matplotlib would read formulas between dollar signs."""
+    """The text with dollar signs escaped, between which matplotlib reads formulas."""
     return text.replace("$", r"\$")
 
 

@@ -47,7 +47,7 @@ def render(
     centre = np.column_stack([right, up, towards]) @ ((low + high) / 2)
     half = 0.5 * 1.06 * (high - low)
 
-    # VTK says on standard error that it found no screen, and then does without
+    # Without a screen VTK writes a warning to standard error and draws all the same.
     verbosity = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:

@@ -70,7 +70,7 @@ def save(
                 if _FILE.fullmatch(file.name) and file != path:
                     file.unlink()
         finally:
-            # after a failure the other ranks still send: receive it all, so that none is left waiting
+            # After a failure the other ranks still send: receive everything, so that none waits.
             for _ in incoming:
                 pass
 
@@ -251,10 +251,12 @@ def _read_table(path: Path, table: str) -> Iterator[Keyed]:
 
 
 class _Index:
-    """Finds the rows of a set of integer keys; built once, then asked block by block.
+    """Search for the rows of a set of integer keys; built once, then used block by block.
 
-    Column after column, the row so far and the next entry become one number: their places among those that
-    occur, so that it stays below (number of rows) squared.
+    A row is encoded column by column: the code of the columns before and the entry, each replaced by its place among
+    the values that occur, give the next code, which thus stays below (number of rows) squared.
+
+    places (n,): place of each wanted row among the different ones. size (int): number of different rows.
     """
 
     def __init__(self, wanted: NDArray[np.int64]) -> None:
@@ -264,7 +266,6 @@ class _Index:
             values, place = np.unique(column, return_inverse=True)
             codes, code = np.unique(code * len(values) + place, return_inverse=True)
             self._levels.append((values, codes))
-        # the place of each wanted row among the different ones, and how many of those there are
         self.places = code
         self.size = int(code.max(initial=-1)) + 1
 

@@ -25,7 +25,7 @@ PLACE, AXIS = "{place}", "{axis}"
 
 
 def augments(model: Model) -> bool:
-    """Whether the scene asks for augmentation."""
+    """Whether contact is augmented."""
     return model.scene.contact is not None and model.scene.contact.augment is not None
 
 

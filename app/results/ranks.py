@@ -1,4 +1,4 @@
-"""What each rank holds: unknowns, contact points that it evaluates, memory."""
+"""Load of each rank: unknowns, contact points that it evaluates, memory."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from piezomat.assembly.problem import Problem
 from piezomat.usage import peak_memory_mb
 
 
-def shares(problem: Problem) -> dict[str, list[int]]:
-    """`dofs`, `contact_points` near another body or a plane at the last pairing, and peak `memory_mb`. Collective.
+def load_per_rank(problem: Problem) -> dict[str, list[int]]:
+    """`dofs`, `contact_points` and `memory_mb`, each with a number for each rank. Collective.
 
-    A number a rank, each.
+    contact_points: those near another body or a plane at the last search. memory_mb: the peak.
     """
     contact = problem.contact
     here = {
@@ -25,11 +25,11 @@ def shares(problem: Problem) -> dict[str, list[int]]:
     return {name: [rank[name] for rank in everywhere] for name in here}
 
 
-def described(held: Mapping[str, Sequence[int]]) -> str:
-    """Those shares in words, and how much more than the mean the fullest rank holds."""
+def described(loads: Mapping[str, Sequence[int]]) -> str:
+    """The loads in words, and by how much the largest exceeds the mean."""
     words = []
     for name, unit in (("dofs", "unknowns"), ("contact_points", "contact points"), ("memory_mb", "MB")):
-        values = held[name]
+        values = loads[name]
         excess = max(values) * len(values) / max(sum(values), 1) - 1.0
         words.append(f"{' '.join(map(str, values))} {unit} (at most {100.0 * excess:.0f} % over the mean)")
     return "a rank: " + ", ".join(words)

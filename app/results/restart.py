@@ -1,4 +1,4 @@
-"""What a run needs to go on: written to a checkpoint at the end of a step, and taken up again on any ranks."""
+"""State of a run in a checkpoint: saved at the end of a step, restored on any number of ranks."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def save(
 
 
 def load(folder: Path, problem: Problem, stepper: Stepper, balance: EnergyBalance) -> tuple[int, list[dict[str, Any]]]:
-    """Take up the newest checkpoint of a folder; its step and the history so far. Collective.
+    """Restore the newest checkpoint of a folder; its step and the history so far. Collective.
 
-    State and contact are then as they were, but for what their evaluation gives. Raises what `checkpoint.load` does.
+    State and contact then hold what they held, except what an evaluation computes. Raises what `checkpoint.load` does.
     """
     model, contact = problem.model, problem.contact
     stored = checkpoint.load(problem.comm, folder)
@@ -62,12 +62,12 @@ def load(folder: Path, problem: Problem, stepper: Stepper, balance: EnergyBalanc
     stepper.size = stored.scalars["size"]
     stepper.last_motion = stored.scalars["motion"]
     if contact is not None:
-        _take_up(contact, stored, augmented=augments(model))
+        _restore_contact(contact, stored, augmented=augments(model))
     return stored.step, list(stored.scalars["history"])
 
 
 def _points(contact: Interfaces, *, augmented: bool) -> Points:
-    """What contact points remember, by their keys."""
+    """History and multipliers of contact points, by their keys."""
     known = [p.history.touched for p in contact.point_sets]
     keys = np.concatenate([p.keys()[k] for p, k in zip(contact.point_sets, known, strict=True)])
     opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.point_sets, known, strict=True)])
@@ -84,7 +84,7 @@ def _points(contact: Interfaces, *, augmented: bool) -> Points:
     return points
 
 
-def _take_up(contact: Interfaces, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
+def _restore_contact(contact: Interfaces, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
     contact.last_penetration = stored.scalars["penetration"]
     for p in contact.surface_pairs:
         if p.segments:

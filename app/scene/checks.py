@@ -10,7 +10,7 @@ from piezomat.scene.data import SceneData, key_of
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
 from piezomat.scene.sections import SIDES, Boundary
 
-OVERLAP = 0.1  # of the size of the smallest body, at the start
+OVERLAP = 0.1  # most that bodies may overlap at the start, as a share of the size of the smallest one
 
 
 def check(scene: SceneData) -> None:

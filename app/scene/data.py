@@ -95,14 +95,14 @@ class SceneData(Keys):
 
     @property
     def sizes(self) -> MeshSizes:
-        """Sizes, order and kind of the elements to build; sizes that no one asks for are the body's own."""
+        """Sizes, order and kind of the elements to build; without `mesh.size` the size is that of the smallest body."""
         size = self.mesh.size or (1.0 if isinstance(self.geometry, MeshFile) else self.geometry.size())
         contact_size = self.mesh.contact_size or size
         return MeshSizes(size, contact_size, self.mesh.order, self.mesh.cells, dict(self.mesh.size_factors))
 
     @cached_property
     def outcome(self) -> object | None:
-        """What the recipe of the geometry came to, to be shown in words; None for a geometry that is no recipe."""
+        """Measures of a recipe (crossings, porosity, ...), whose `str` is for the log; None for other geometries."""
         return None if isinstance(self.geometry, MeshFile) else self.geometry.outcome()
 
     def material(self, body: str) -> Material:

@@ -149,5 +149,5 @@ def _scalar(value: Any) -> str:
 
 
 def _string(text: str) -> str:
-    """A basic string: escapes as in JSON, of which TOML asks for one more."""
+    """A basic string: escapes as in JSON, and one more that TOML requires."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.transforms import Bbox
 from mpi4py import MPI
 
-from piezomat.pictures.data import Bodies, Contact, frame, magnification, prefixed, read_run
+from piezomat.pictures.data import Bodies, ContactData, frame, magnification, prefixed, read_run
 from piezomat.pictures.picture import draw, view
 from piezomat.pictures.render import render, section
 from piezomat.results.files import ContactPoints, FieldPiece, Grid, Results, ResultsError
@@ -378,7 +378,7 @@ def test_frame() -> None:
 
 def test_main_pair_and_mean_normal_of_two_passes() -> None:
     up, down = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
-    contact = Contact(
+    contact = ContactData(
         position=np.zeros((4, 3)),
         normal=np.array([up, down, up, down]),
         gap=np.array([1.0, -0.1, 0.0, 0.0]),
