@@ -28,32 +28,14 @@ from piezomat.meshes.parallel import on_all, on_root
 from piezomat.results.atomic import replacing, temporary_name, write_text
 from piezomat.results.vtk import (
     PIECE,
-    STATUS,
     ContactPoints,
     FieldPiece,
-    Grid,
     IndexEntry,
     ResultsError,
-    grid,
     read_index,
     write_index,
 )
-from piezomat.usage import Timer, peak_memory_mb
-
-__all__ = [
-    "STATUS",
-    "SUMMARY_KEYS",
-    "ContactPoints",
-    "FieldPiece",
-    "Grid",
-    "Results",
-    "ResultsError",
-    "Timer",
-    "grid",
-    "peak_memory_mb",
-    "read_history",
-    "versions",
-]
+from piezomat.usage import peak_memory_mb
 
 Value = float | int | str
 SUMMARY_KEYS = tuple(

@@ -15,7 +15,8 @@ from mpi4py import MPI
 from piezomat.pictures.data import Bodies, ContactData, frame, magnification, prefixed, read_run
 from piezomat.pictures.picture import draw, view
 from piezomat.pictures.render import render, section
-from piezomat.results.files import ContactPoints, FieldPiece, Grid, Results, ResultsError
+from piezomat.results.files import Results
+from piezomat.results.vtk import ContactPoints, FieldPiece, Grid, ResultsError
 
 RADIUS = 0.5
 PRESSED = 0.06  # how far the upper body is pressed down at most, um
