@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array
+from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.contact.local_search import closest_facets
 
@@ -84,16 +85,12 @@ def _look_for(p: SurfacePair, points: Array, position: Array, lost: NDArray[np.b
         tried = near[lost[near]]
         if not len(tried):
             continue
-        nodes, orientation, key = (
-            p.master_at(position, facets),
-            p.ghost_facets.orientation[facets],
-            p.ghost_facets.key[facets],
-        )
+        nodes, orientation = p.master_at(position, facets), p.ghost_facets.orientation[facets]
+        masters = Facets(kind, nodes, orientation, p.ghost_facets.key[facets])
         pairs, depth = None, max(p.depth, search.depth)
         if own is not None:
             pairs, depth = own.of_points(p.points.facet[p.near_points[tried]]), max(p.self_depth, search.depth)
-        given = points[tried], normals[tried], nodes, orientation, key, max(search.far, depth), depth, pairs
-        found, xi, off = closest_facets(kind, *given)
+        found, xi, off = closest_facets(points[tried], normals[tried], masters, max(search.far, depth), depth, pairs)
         off += p.motion_since_search[tried] - search.drift
         met = np.flatnonzero(found >= 0)
         gap = np.full(len(tried), np.inf)

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from piezomat.contact.nodal_state import NodalState
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import Multipliers
+from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import Projection, project
 from piezomat.forms.contact.integrals import SlavePoints, first_changes
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
 from piezomat.forms.contact.laws.viscous import ViscousBonds
-from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
+from piezomat.forms.contact.segments import nearest_points, segment_points
 from piezomat.forms.contact.smoothing import rounded, spread
 from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule
 from piezomat.meshes.contact.load_balance import SlaveFacets
@@ -151,14 +152,14 @@ class SurfacePair:
 
     def cut_segments(self, position: Array, reach: float) -> None:
         """Cut the slave facets along the edges of master facets within `reach`, nodes being at `position`."""
-        slave = Facets(self.slave_at(position), self.slave.orientation, self.slave.key)
-        master = Facets(self.master_at(position), self.ghost_facets.orientation, self.ghost_facets.key)
         kind = self.slave.kind
-        pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), reach)
+        slave = Facets(kind, self.slave_at(position), self.slave.orientation, self.slave.key)
+        master = Facets(kind, self.master_at(position), self.ghost_facets.orientation, self.ghost_facets.key)
+        pairs = facing_pairs(slave, master, reach)
         allowed = self.may_meet(*pairs)
         pairs = pairs[0][allowed], pairs[1][allowed]
         before, (converged, history, _) = self.points, self._converged
-        points, meets = segment_points(kind, self.slave.reference, slave, master, pairs)
+        points, meets = segment_points(self.slave.reference, slave, master, pairs)
         drag = self.viscous_bonds[nearest_points(points.facet, points.xi, before)]
         self._take(points)
         self.covered, self.viscous_bonds = meets, drag

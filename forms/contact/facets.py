@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Integers
 
 _LINE = [(0.0,), (1.0,), (0.5,)]
 _TRIANGLE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5), (0.0, 0.5), (0.5, 0.0)]
@@ -100,6 +100,23 @@ class FacetKind:
             return x[:, None], w
         points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
         return points, np.outer(w, w).ravel()
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Facets of one kind in their current positions.
+
+    nodes (f, n, d), um; orientation (f,): +1 or -1, the sign that turns the normal outward; key (f,): a number
+    independent of the partition.
+    """
+
+    kind: FacetKind
+    nodes: Array
+    orientation: Array
+    key: Integers
+
+    def __len__(self) -> int:
+        return len(self.nodes)
 
 
 class FacetMaps:

@@ -18,7 +18,7 @@ import numpy as np
 from mpi4py import MPI
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.facets import facet_kind
+from piezomat.forms.contact.facets import Facets, facet_kind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule, share_facets
 from piezomat.meshes.contact.local_search import closest_facets, near_points
@@ -69,9 +69,8 @@ def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
     meetings = CandidatePairs.near(points, component, facets, visible.component, MARGIN, rule)
     for rows, theirs in zip(meetings.points, meetings.facets, strict=True):
         near = rows[near_points(points[rows], facets[theirs], MARGIN)]
-        facing = visible.orientation[theirs]
-        given = points[near], normals[near], facets[theirs], facing, visible.key[theirs]
-        met, *_ = closest_facets(kind, *given, MARGIN)
+        masters = Facets(kind, facets[theirs], visible.orientation[theirs], visible.key[theirs])
+        met, *_ = closest_facets(points[near], normals[near], masters, MARGIN)
         found += int((met >= 0).sum())
     return process_time() - began, found, len(visible)
 

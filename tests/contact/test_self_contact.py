@@ -16,6 +16,7 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
+from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.geodesic import geodesic_distance
@@ -212,8 +213,8 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     some = np.union1d(rng.choice(len(points), 150, replace=False), rows[p.projection.gap < p.law.interaction_range])
     pairs = np.meshgrid(own[some], np.arange(len(master)), indexing="ij")
     may = p.may_meet(*(index.ravel() for index in pairs)).reshape(pairs[0].shape)
-    given = points[some], normals[some], master, p.ghost_facets.orientation, p.ghost_facets.key, p.depth
-    found = brute_force_facets(kind, *given, may)
+    masters = Facets(kind, master, p.ghost_facets.orientation, p.ghost_facets.key)
+    found = brute_force_facets(points[some], normals[some], masters, p.depth, may)
     gap = np.full(len(some), np.inf)
     hit = found >= 0
     gap[hit] = project(kind, points[some][hit], master[found[hit]], p.ghost_facets.orientation[found[hit]]).gap

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.facets import FacetKind, Facets, facet_kind
 from piezomat.forms.contact.integrals import SlavePoints, quadrature_points
-from piezomat.forms.contact.segments import Facets, nearest_points, segment_points
+from piezomat.forms.contact.segments import nearest_points, segment_points
 from piezomat.meshes.contact.local_search import facing_pairs
 
 REACH = 2.0  # every two facets of most tests are a pair
@@ -38,12 +38,11 @@ def grid(
         flat = flat @ np.array([[c, s], [-s, c]])
     nodes = np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], axis=2)
     up = 1.0 if kind.dim == 2 else -1.0
-    return Facets(nodes, np.full(len(nodes), -up if upper else up), np.arange(len(nodes)))
+    return Facets(kind, nodes, np.full(len(nodes), -up if upper else up), np.arange(len(nodes)))
 
 
-def cut(kind: FacetKind, slave: Facets, master: Facets) -> tuple[SlavePoints, NDArray[np.bool_]]:
-    pairs = facing_pairs(kind, (slave.nodes, slave.orientation), (master.nodes, master.orientation), REACH)
-    return segment_points(kind, slave.nodes, slave, master, pairs)
+def cut(slave: Facets, master: Facets) -> tuple[SlavePoints, NDArray[np.bool_]]:
+    return segment_points(slave.nodes, slave, master, facing_pairs(slave, master, REACH))
 
 
 def places(points: SlavePoints, facets: Facets) -> Array:
@@ -59,7 +58,7 @@ def test_both_sides_integrate_over_the_same_surface(name: str, divisions: int, s
     upper = grid(kind, divisions, 0.01, upper=True, size=size, turn=turn)
     found = []
     for slave, master in ((lower, upper), (upper, lower)):
-        points, covered = cut(kind, slave, master)
+        points, covered = cut(slave, master)
         whole = quadrature_points(kind, slave.nodes)
         areas = [np.bincount(p.facet, p.weight) for p in (points, whole)]
         np.testing.assert_allclose(areas[0], areas[1], rtol=1e-8)
@@ -75,7 +74,7 @@ def test_both_sides_integrate_over_the_same_surface(name: str, divisions: int, s
 @each_kind
 def test_a_function_with_kinks_at_master_edges_is_integrated_exactly(name: str) -> None:
     kind = facet_kind(name)
-    points, covered = cut(kind, grid(kind, 2, upper=False), grid(kind, 3, 0.01, upper=True))
+    points, covered = cut(grid(kind, 2, upper=False), grid(kind, 3, 0.01, upper=True))
     assert covered.all()
     x = places(points, grid(kind, 2, upper=False))[:, 0]
     # The hat function of the master's edge at 1/3.
@@ -87,7 +86,7 @@ def test_without_a_partner_a_facet_has_its_usual_points(name: str) -> None:
     kind = facet_kind(name)
     slave = grid(kind, 2, upper=False)
     for master in (grid(kind, 2, 5.0, upper=True), grid(kind, 2, 0.01, upper=False)):
-        points, covered = cut(kind, slave, master)
+        points, covered = cut(slave, master)
         usual = quadrature_points(kind, slave.nodes)
         assert covered.all()
         np.testing.assert_allclose(points.weight, usual.weight, rtol=1e-13)
@@ -101,16 +100,17 @@ def test_masters_one_above_the_other_do_not_count_twice(name: str) -> None:
     kind = facet_kind(name)
     near, far = grid(kind, 3, 0.01, upper=True, size=0.7, turn=0.1), grid(kind, 2, 0.2, upper=True, size=1.5)
     both = Facets(
+        kind,
         np.concatenate([far.nodes, near.nodes]),
         np.concatenate([far.orientation, near.orientation]),
         np.arange(len(far.nodes) + len(near.nodes)),
     )
     slave = grid(kind, 1, upper=False)
-    points, covered = cut(kind, slave, both)
+    points, covered = cut(slave, both)
     assert covered.all()
     np.testing.assert_allclose(points.weight.sum(), 1.0, rtol=1e-8)
     # The near sheet's outline is one of the cuts: what lies under it is integrated exactly.
-    alone, under = cut(kind, slave, near)
+    alone, under = cut(slave, near)
     c, s = np.cos(0.1), np.sin(0.1)
     local = places(points, slave)[:, :2] @ np.array([[c, -s], [s, c]])
     inside = np.all((local > 0.0) & (local < 0.7), axis=1)
@@ -124,10 +124,10 @@ def test_points_lie_on_curved_facets_and_weigh_their_area(name: str) -> None:
     def bent(facets: Facets) -> Facets:
         nodes = facets.nodes.copy()
         nodes[..., -1] += 0.1 * nodes[..., 0] ** 2
-        return Facets(nodes, facets.orientation, facets.key)
+        return Facets(facets.kind, nodes, facets.orientation, facets.key)
 
     slave, master = bent(grid(kind, 2, upper=False)), bent(grid(kind, 3, 0.01, upper=True))
-    points, covered = cut(kind, slave, master)
+    points, covered = cut(slave, master)
     x = places(points, slave)
     np.testing.assert_allclose(x[:, -1], 0.1 * x[:, 0] ** 2, atol=1e-12)
     exact = np.arcsinh(0.2) / 0.4 + np.sqrt(1.04) / 2  # arc length of 0.1 x^2 up to 1
@@ -150,7 +150,7 @@ def test_a_point_takes_after_the_nearest_one_of_its_own_facet(rng: np.random.Gen
 def test_no_facets_are_no_trouble(name: str) -> None:
     kind = facet_kind(name)
     some = grid(kind, 2, upper=False)
-    empty = Facets(np.zeros((0, *some.nodes.shape[1:])), np.zeros(0), np.zeros(0, np.int64))
-    assert len(cut(kind, empty, some)[0].weight) == 0
-    assert len(cut(kind, some, empty)[0].weight) == len(quadrature_points(kind, some.nodes).weight)
-    assert len(nearest_points(np.zeros(0, np.int64), np.zeros((0, kind.dim)), cut(kind, some, empty)[0])) == 0
+    empty = Facets(kind, np.zeros((0, *some.nodes.shape[1:])), np.zeros(0), np.zeros(0, np.int64))
+    assert len(cut(empty, some)[0].weight) == 0
+    assert len(cut(some, empty)[0].weight) == len(quadrature_points(kind, some.nodes).weight)
+    assert len(nearest_points(np.zeros(0, np.int64), np.zeros((0, kind.dim)), cut(some, empty)[0])) == 0

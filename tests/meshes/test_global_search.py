@@ -13,6 +13,7 @@ from mpi4py import MPI
 from piezomat.contact import search as partners
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
+from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.global_search import ONE_TO_ONE, CandidatePairs, Clusters, PairingRule, overlapping
@@ -107,8 +108,8 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     for other in range(8):
         theirs = np.flatnonzero(body == other)
         rows = chosen[body[own[chosen]] != other]
-        arguments = facets[theirs], p.slave.orientation[theirs], p.slave.key[theirs], p.depth
-        found = brute_force_facets(p.slave.kind, points[rows], normals[rows], *arguments)
+        masters = Facets(p.slave.kind, facets[theirs], p.slave.orientation[theirs], p.slave.key[theirs])
+        found = brute_force_facets(points[rows], normals[rows], masters, p.depth)
         rows, found = rows[found >= 0], theirs[found[found >= 0]]
         seen = project(p.slave.kind, points[rows], facets[found], p.slave.orientation[found])
         gap = seen.gap
@@ -130,7 +131,7 @@ def test_what_comes_near_is_found_without_a_search_of_all(
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     contact, anew = interfaces_of(model), interfaces_of(model)
     looked = []
-    monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[1])), closest_facets(*a))[1])
+    monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[0])), closest_facets(*a))[1])
     state = model.coordinate_vector()
     motion, margin = np.zeros((len(model.parts.size), model.unknowns.block)), 1.2
     work, acting, new = np.zeros(2, int), [], 0

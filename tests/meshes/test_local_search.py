@@ -14,7 +14,7 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.facets import FacetKind, Facets, facet_kind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.global_search import (
@@ -93,12 +93,12 @@ class Fiber:
         return points, normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def closest(self, points: Array, normals: Array, depth: float = np.inf) -> NDArray[np.int64]:
-        return closest_facets(self.kind, points, normals, self.facets, self.orientation, self.key, 2.0 * RADIUS, depth)[
-            0
-        ]
+        return closest_facets(
+            points, normals, Facets(self.kind, self.facets, self.orientation, self.key), 2.0 * RADIUS, depth
+        )[0]
 
     def brute(self, points: Array, normals: Array, depth: float = np.inf) -> NDArray[np.int64]:
-        return brute_force_facets(self.kind, points, normals, self.facets, self.orientation, self.key, depth)
+        return brute_force_facets(points, normals, Facets(self.kind, self.facets, self.orientation, self.key), depth)
 
 
 # --- Closest facets -------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ def test_the_closest_facet_is_where_the_point_is(name: str, rng: np.random.Gener
     under = rng.uniform(0.01, 0.99, (50, kind.dim))
     points = np.column_stack([under, rng.uniform(-0.02, 0.2, 50)])
     found, where, _ = closest_facets(
-        kind, points, np.tile(-up, (50, 1)), facets, orientation, np.arange(len(facets)), 1.0
+        points, np.tile(-up, (50, 1)), Facets(kind, facets, orientation, np.arange(len(facets))), 1.0
     )
     np.testing.assert_allclose(
         np.einsum("mk,mkd->md", kind.shape(where), facets[found]), np.column_stack([under, np.zeros(50)]), atol=1e-12
@@ -162,15 +162,15 @@ def test_points_off_the_ends_meet_nothing(name: str) -> None:
     off = 0.25 * END_TOLERANCE * np.array([0.5, 0.99, 1.01, 2.0, 30.0])
     points = np.full((5, kind.dim + 1), 0.6)
     points[:, 0], points[:, -1] = 1.0 + off, 0.01
-    normals, key = np.tile(-up, (5, 1)), np.arange(len(facets))
-    found, *_ = closest_facets(kind, points, normals, facets, orientation, key, 1.0)
+    normals, master = np.tile(-up, (5, 1)), Facets(kind, facets, orientation, np.arange(len(facets)))
+    found, *_ = closest_facets(points, normals, master, 1.0)
     np.testing.assert_array_equal(found >= 0, [True, True, False, False, False])
     # Nor do points far above, at less than a right angle, or without a facet that faces them.
     points[:, 0] = 0.6
-    assert (closest_facets(kind, points, normals, facets, orientation, key, 1.0)[0] >= 0).all()
-    assert (closest_facets(kind, points + 3.0 * up, normals, facets, orientation, key, 1.0)[0] < 0).all()
-    assert (closest_facets(kind, points, -normals, facets, orientation, key, 1.0)[0] < 0).all()
-    assert (closest_facets(kind, points, np.roll(normals, 1, axis=1), facets, orientation, key, 1.0)[0] < 0).all()
+    assert (closest_facets(points, normals, master, 1.0)[0] >= 0).all()
+    assert (closest_facets(points + 3.0 * up, normals, master, 1.0)[0] < 0).all()
+    assert (closest_facets(points, -normals, master, 1.0)[0] < 0).all()
+    assert (closest_facets(points, np.roll(normals, 1, axis=1), master, 1.0)[0] < 0).all()
 
 
 @each_kind
@@ -191,12 +191,14 @@ def test_nothing_meets_the_far_side_of_a_thin_body(name: str, rng: np.random.Gen
         points = np.column_stack([under, np.full(40, height)])
         for normal, expected in ((-up, height > -thickness), (up, False)):
             normals = np.tile(normal, (40, 1))
-            found, *_ = closest_facets(kind, points, normals, facets, orientation, key, 1.0, 0.5 * thickness)
+            found, *_ = closest_facets(points, normals, Facets(kind, facets, orientation, key), 1.0, 0.5 * thickness)
             assert (found >= 0).all() == expected
             assert (found < len(sides[0])).all()
     # From below the same, upside down.
     points = np.column_stack([under, np.full(40, -thickness - 0.02)])
-    found, *_ = closest_facets(kind, points, np.tile(up, (40, 1)), facets, orientation, key, 1.0, 0.5 * thickness)
+    found, *_ = closest_facets(
+        points, np.tile(up, (40, 1)), Facets(kind, facets, orientation, key), 1.0, 0.5 * thickness
+    )
     assert (found >= len(sides[0])).all()
 
 
@@ -219,7 +221,9 @@ def test_ties_do_not_depend_on_the_order_of_facets(name: str, rng: np.random.Gen
         lowest = np.where(sharing, key[:, None], len(key)).min(axis=0)
         for _ in range(3):
             order = rng.permutation(len(facets))
-            found, *_ = closest_facets(kind, points, normals, facets[order], orientation[order], key[order], 1.0)
+            found, *_ = closest_facets(
+                points, normals, Facets(kind, facets[order], orientation[order], key[order]), 1.0
+            )
             np.testing.assert_array_equal(key[order][found], lowest)
 
 
@@ -230,7 +234,7 @@ def test_point_above_a_ridge_is_kept_by_the_larger_facet() -> None:
     orientation = outward(kind, nodes, lambda c: c - np.array([0.0, 1.0]))
     point, normal = np.array([[0.0, 0.05]]), np.array([[0.0, -1.0]])
     for key in ([0, 1], [1, 0]):
-        found, *_ = closest_facets(kind, point, normal, nodes, orientation, np.array(key), 1.0)
+        found, *_ = closest_facets(point, normal, Facets(kind, nodes, orientation, np.array(key)), 1.0)
         assert found[0] == 0
 
 
@@ -239,12 +243,12 @@ def test_no_points_and_no_facets() -> None:
         kind = facet_kind(name)
         d = kind.dim + 1
         some, none = np.zeros((3, d)), np.zeros((0, len(kind.nodes), d))
-        found, where, _ = closest_facets(kind, some, some, none, np.zeros(0), np.zeros(0, int), 1.0)
+        found, where, _ = closest_facets(some, some, Facets(kind, none, np.zeros(0), np.zeros(0, int)), 1.0)
         assert (found == -1).all() and where.shape == (3, kind.dim)
         assert not near_points(some, none, 1.0).any()
         facets = sheet(kind, lambda *a: np.stack([*a, 0.0 * a[0]], axis=1), *[np.array([0.0, 1.0])] * kind.dim)
         one = np.ones(len(facets))
-        found, where, _ = closest_facets(kind, some[:0], some[:0], facets, one, np.arange(len(facets)), 1.0)
+        found, where, _ = closest_facets(some[:0], some[:0], Facets(kind, facets, one, np.arange(len(facets))), 1.0)
         assert found.shape == (0,) and where.shape == (0, kind.dim)
         assert near_points(some[:0], facets, 1.0).shape == (0,)
         assert boxes(none).shape == (0, 2, d)
@@ -348,7 +352,9 @@ def test_pairing_does_not_depend_on_the_ranks(name: str, comm: MPI.Comm, rng: np
     own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], component, flat)
     visible = share_facets(comm, facets[mine], np.full(len(mine), SLAVE), own, master.facets[theirs], 0.05, ONE_TO_ONE)
     positions = master.facets[visible.nodes[:, 0]]
-    found, *_ = closest_facets(kind, points[mine], normals[mine], positions, visible.orientation, visible.key, 0.05)
+    found, *_ = closest_facets(
+        points[mine], normals[mine], Facets(kind, positions, visible.orientation, visible.key), 0.05
+    )
     partner = np.where(found >= 0, visible.nodes[found, 0] if len(visible) else -1, -1)
     np.testing.assert_array_equal(partner, alone[mine])
     assert comm.allreduce(int((partner >= 0).sum())) > 100
