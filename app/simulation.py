@@ -62,8 +62,8 @@ class Run:
 
     @property
     def state(self) -> Any:
-        """The last state as a dolfinx Function: displacement (um) and potential / model.potential_scale."""
-        return self.model.state
+        """The last state as a dolfinx Function: displacement (um) and potential / model.potential_scale. Collective."""
+        return self.problem.solution()
 
 
 def run(
@@ -172,7 +172,6 @@ class _Session:
             reason = str(failure)
             log.error("%s", reason)
             self._restore_last_step()
-        self.problem.refresh()
         self._conclude(failure is None, reason)
         if failure is not None:
             raise failure
@@ -251,8 +250,7 @@ class _Session:
 
     def _write_fields(self) -> None:
         if self._fields is None:
-            self._fields = FieldOutput(self.model)
-        self.problem.refresh()
+            self._fields = FieldOutput(self.problem)
         self.results.fields(self.last_step, float(self.last_step), self._fields.piece())
         if self.problem.contact is not None:
             points = contact_points(self.problem.contact, self.model.electric)

@@ -24,7 +24,7 @@ class Bulk:
     def __init__(self, model: Model) -> None:
         self._model = model
         self.is_constant = model.kinematics == "small"
-        arguments = model.state, model.constitutive_field, model.kinematics
+        arguments = model.trial_state, model.constitutive_field, model.kinematics
         self._tangent_form = dolfinx.fem.form(tangent_form(*arguments))
         self._residual_form = None if self.is_constant else dolfinx.fem.form(internal_form(*arguments))
         self._energy_forms = [None if e is None else dolfinx.fem.form(e) for e in stored_energies(*arguments)]
@@ -34,16 +34,16 @@ class Bulk:
         return dolfinx.fem.petsc.create_matrix(self._tangent_form)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
-        """Add the tangent at the model's state to a matrix that is still to be assembled."""
+        """Add the tangent at the trial state of the model to a matrix that is still to be assembled."""
         dolfinx.fem.petsc.assemble_matrix(matrix, self._tangent_form)
 
     def assemble_residual(self, result: PETSc.Vec) -> None:
-        """result = the residual at the model's state; not for a constant tangent."""
+        """result = the residual at the trial state of the model; not for a constant tangent."""
         assemble_vector(result, self._residual_form)
 
     def energies(self, x: PETSc.Vec) -> dict[str, float]:
         """Stored energies at x, pJ (2D: per um of depth): elastic, electric."""
-        self._model.set_state(x)
+        self._model.set_trial_state(x)
         elastic, electric = self._energy_forms
         return {
             "elastic": integral(elastic),

@@ -21,19 +21,19 @@ class NodalLoads:
 
     def __init__(self, model: Model) -> None:
         self.vector = model.new_vector()
-        form = model.loads.form(model.state, model.kinematics, model.potential_scale)
+        form = model.loads.form(model.trial_state, model.kinematics, model.potential_scale)
         self.exist = not form.empty()
-        tangent = load_tangent(form, model.state) if self.exist else None
+        tangent = load_tangent(form, model.trial_state) if self.exist else None
         self.follow_state = tangent is not None
         self._form = dolfinx.fem.form(form) if self.exist else None
         self._tangent_form = dolfinx.fem.form(tangent) if self.follow_state else None
 
     def assemble(self) -> None:
-        """Evaluate `vector` at the model's state."""
+        """Evaluate `vector` at the trial state of the model."""
         if self.exist:
             assemble_vector(self.vector, self._form)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
-        """Add their tangent at the model's state to a matrix that is still to be assembled."""
+        """Add their tangent at the trial state of the model to a matrix that is still to be assembled."""
         if self.follow_state:
             dolfinx.fem.petsc.assemble_matrix(matrix, self._tangent_form)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+from dolfinx.fem import Function
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -166,7 +167,7 @@ class Problem:
         if self.bulk.is_constant:
             self._stiffness.mult(x, result)  # the springs' forces at x included
         else:
-            self.model.set_state(x)
+            self.model.set_trial_state(x)
             self.bulk.assemble_residual(result)
             if self.loads.follow_state:
                 self.loads.assemble()
@@ -179,7 +180,7 @@ class Problem:
         """Take the tangent at x for `multiply`, `tangent`, `contact_terms` and `linearized_contact_residual`."""
         if not self.bulk.is_constant:
             with self.timer("assembly"):
-                self.model.set_state(x)
+                self.model.set_trial_state(x)
                 self._assemble_stiffness()
                 self._renew_stiffness()
         if self.contact is not None:
@@ -253,9 +254,10 @@ class Problem:
         change = displacements(self.state) - displacements(self.converged_state if since is None else since)
         return self.comm.allreduce(float(np.abs(change).max(initial=0.0)), op=MPI.MAX)
 
-    def refresh(self) -> None:
-        """Bring the model's Function up to date with the state, ghosts included."""
-        self.model.set_state(self.state)
+    def solution(self) -> Function:
+        """The state as a Function, ghosts included, until forms are evaluated at another state."""
+        self.model.set_trial_state(self.state)
+        return self.model.trial_state
 
     # --- memory
 

@@ -7,7 +7,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from piezomat.discretization.constraints import Condition, Constraints
+from piezomat.discretization.constraints import Constraints
 from piezomat.discretization.loads import Loads
 from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
@@ -37,7 +37,7 @@ class Model:
     loads: tractions, pressures and charges
     unconstrained (parts, 2): whether no boundary constrains the rigid-body modes of a part, and its mean potential
     constitutive_field: DG0 Function, enthalpy matrix of each cell
-    state: Function at which forms are evaluated, see `set_state`
+    trial_state: Function at which forms are evaluated, see `set_trial_state`; the solution is `Problem.solution`
     """
 
     def __init__(self, scene: Scene, bodies: BodyMesh) -> None:
@@ -57,8 +57,8 @@ class Model:
             permittivity = max(m.mean_permittivity for m in self.materials)
             self.potential_scale = float(np.sqrt(self.stiffness / permittivity))
         self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric)
-        self.state = dolfinx.fem.Function(self.unknowns.space)
-        self._vector: PETSc.Vec = fenicsx.petsc_vector(self.state)
+        self.trial_state = dolfinx.fem.Function(self.unknowns.space)
+        self._vector: PETSc.Vec = fenicsx.petsc_vector(self.trial_state)
         self.constitutive_field = constitutive_field(
             self.mesh,
             [m.constitutive_matrix(self.dim, self.plane) for m in self.materials],
@@ -90,16 +90,10 @@ class Model:
         vector.array[:] = values.ravel()
         return vector
 
-    def set_state(self, x: PETSc.Vec) -> None:
-        """Evaluate forms at x from now on: copy it into the Function `state`, ghosts included."""
+    def set_trial_state(self, x: PETSc.Vec) -> None:
+        """Evaluate forms at x from now on: copy it into the Function `trial_state`, ghosts included."""
         x.copy(self._vector)
         self._vector.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-
-    def mean_potential(self, condition: Condition) -> float:
-        """Mean of the potential over a boundary at `state`, V. Collective."""
-        psi = self.state.x.array.reshape(-1, self.unknowns.block)[condition.nodes, self.dim]
-        total = self.comm.allreduce(float(condition.weights @ psi), op=MPI.SUM)
-        return self.potential_scale * total / condition.area
 
     def _dielectric_nodes(self) -> Booleans:
         """Whether a body with permittivity touches each local node."""

@@ -8,10 +8,10 @@ import numpy as np
 import ufl
 from numpy.typing import NDArray
 
+from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
-from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.evaluation import center_expression
@@ -20,29 +20,30 @@ from piezomat.results.vtk import ContactPoints, FieldPiece, grid
 
 
 class FieldOutput:
-    """Turns states of a model into field pieces; cell values are those at the cells' centres.
+    """Turns solutions of a problem into field pieces; cell values are those at the cells' centres.
 
     With finite kinematics they are the current ones: Cauchy stress, field and electric displacement of space.
     """
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        model = problem.model
         self._grid = grid(model.mesh)
         nodes, geometry = fenicsx.dofmap(model.unknowns.space), fenicsx.geometry_dofmap(model.mesh)
         self._node = np.zeros(len(self._grid.points), np.int64)
         self._node[geometry] = nodes
-        state = strain_and_field(model.state, model.kinematics)
+        state = strain_and_field(model.trial_state, model.kinematics)
         self._state = center_expression(state, model.mesh)
         self._gradient: Any = None
         if model.kinematics == "finite":
-            gradient = ufl.grad(model.state)
+            gradient = ufl.grad(model.trial_state)
             entries = [gradient[i, j] for i in range(model.dim) for j in range(model.dim)]
             self._gradient = center_expression(ufl.as_vector(entries), model.mesh)
 
     def piece(self) -> FieldPiece:
-        """This rank's fields at the model's present state. Collective."""
-        model = self.model
-        values = model.state.x.array.reshape(-1, model.unknowns.block)[self._node]
+        """This rank's fields of the present solution. Collective."""
+        model, solution = self.problem.model, self.problem.solution()
+        values = solution.x.array.reshape(-1, model.unknowns.block)[self._node]
         cells = len(self._grid.cells)
         state = fenicsx.at_centers(self._state, model.mesh)
         strains = model.dim * (model.dim + 1) // 2

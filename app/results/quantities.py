@@ -264,7 +264,6 @@ def row(
     problem: Problem, balance: EnergyBalance, step: Step, report: StepReport, seconds: float
 ) -> dict[str, float | int]:
     """Row of the history of a converged step, by column. Collective; the same on all ranks."""
-    problem.refresh()
     at, model = ConvergedStep(problem, balance, step, report, seconds), problem.model
     values: dict[str, float | int] = {}
     for group in GROUPS:

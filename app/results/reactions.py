@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.discretization.constraints import Condition
@@ -31,5 +32,13 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     total = parallel.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
     applied = sum(model.loads.applied(condition, factors) for condition in conditions)
-    potential = model.mean_potential(conditions[0]) if model.electric else float("nan")
+    potential = _mean_potential(problem, conditions[0]) if model.electric else float("nan")
     return Reaction(total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim]), potential)
+
+
+def _mean_potential(problem: Problem, condition: Condition) -> float:
+    """Mean of the potential over a boundary, V."""
+    model = problem.model
+    psi = problem.solution().x.array.reshape(-1, model.unknowns.block)[condition.nodes, model.dim]
+    total = model.comm.allreduce(float(condition.weights @ psi), op=MPI.SUM)
+    return model.potential_scale * total / condition.area

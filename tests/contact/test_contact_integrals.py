@@ -257,7 +257,7 @@ class Stack:
 
     def contact_terms(self, values: Array) -> tuple[Array, Array]:
         """Residual and tangent of the contact at nodal values (nodes, c), dense over (upper, partner) nodes."""
-        state = fenicsx.petsc_vector(self.model.state)
+        state = self.model.new_vector()
         state.array[:] = values.ravel()
         self.contact.detect(state, 1.0)
         terms = self.contact.evaluate(state, tangent=True)

@@ -50,7 +50,7 @@ def test_pressure_of_finite_kinematics_follows_the_state(comm: MPI.Comm) -> None
     values[:, 0] = 0.1 * model.unknowns.coordinates[: model.unknowns.owned, 0]
     stretched.array[:] = values.ravel()
     for state, width in ((model.new_vector(), WIDTH), (stretched, 1.1 * WIDTH)):
-        model.set_state(state)
+        model.set_trial_state(state)
         nodal.assemble()
         force = parallel.total(comm, -model.unknowns.displacements(nodal.vector).sum(axis=0))
         np.testing.assert_allclose(force, [0.0, -2.0 * width], atol=1e-12)

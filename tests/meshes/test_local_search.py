@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
-from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, Facets, facet_kind
 from piezomat.forms.contact.gap import point_normals
@@ -379,7 +378,7 @@ def test_overlap_of_coarse_blocks_is_what_it_is(dim: int, cells: str, method: st
         )
         model = Model(scene, create(comm, scene.geometry, scene.sizes))
         contact = interfaces_of(model)
-        state = fenicsx.petsc_vector(model.state)
+        state = model.new_vector()
         contact.detect(state, max(contact.least_search_radius(), 2.0))
         contact.evaluate(state, tangent=False)
         assert contact.penetration() == pytest.approx(overlap, abs=1e-12)

@@ -77,7 +77,7 @@ def halves(**sections: Any) -> Scene:
 def fields(finished: Run) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, d) of the nodes, and displacement and potential / scale (n, block) there."""
     model = finished.model
-    return model.unknowns.coordinates, model.state.x.array.reshape(-1, model.unknowns.block)
+    return model.unknowns.coordinates, finished.state.x.array.reshape(-1, model.unknowns.block)
 
 
 # --- What is modelled ------------------------------------------------------------------------------

@@ -148,7 +148,7 @@ def test_bimorph_against_its_closed_form() -> None:
     finished = run("bimorph")
     model = finished.model
     tip = np.isclose(model.unknowns.coordinates[:, 0], 1e5)
-    deflection = model.state.x.array.reshape(-1, model.unknowns.block)[tip, 1].mean()
+    deflection = finished.state.x.array.reshape(-1, model.unknowns.block)[tip, 1].mean()
     exact = ref.bimorph_deflection(ref.PVDF_TZOU, 1e5, 1e3, 1.0, coupled=True)
     assert deflection == pytest.approx(exact, rel=1e-3)
     assert f"{exact:.6f} um" in header("bimorph") and f"{deflection:.4f} um" in header("bimorph")
@@ -169,7 +169,7 @@ def test_blocks_against_the_patch_test() -> None:
     }
     for method, overrides in rows.items():
         finished = run("blocks", "load.steps=[1]", *overrides)
-        stress = FieldOutput(finished.model).piece().stress[:, 1]
+        stress = FieldOutput(finished.problem).piece().stress[:, 1]
         error, force = 100 * np.abs(stress / exact - 1.0).max(), finished.history[-1]["force_y@top"]
         said = re.search(rf"# +{method} +([\d.]+) % +(-[\d.]+)", text)
         assert error == pytest.approx(float(said[1]), rel=0.05), method

@@ -46,7 +46,7 @@ def patch(divisions: tuple[list[int], list[int]], cells: str, order: int, passes
 
 def stress_error(scene: Scene, comm: MPI.Comm, tilt: float) -> float:
     """Greatest error of any stress component in the middle of any element, over the exact pressure."""
-    stress = FieldOutput(run(scene, comm).model).piece().stress
+    stress = FieldOutput(run(scene, comm).problem).piece().stress
     exact = contact_patch_stress(YOUNG, HEIGHTS, SHORTENING, PENALTY)
     s, c = np.sin(np.radians(tilt)), np.cos(np.radians(tilt))
     dim = scene.dimension

@@ -174,7 +174,7 @@ def patch_error(lower: int, upper: int, method: str, passes: int) -> float:
         },
     )
     finished = run(scene, MPI.COMM_SELF)
-    stress = FieldOutput(finished.model).piece().stress[:, 1]
+    stress = FieldOutput(finished.problem).piece().stress[:, 1]
     exact = contact_patch_stress(YOUNG, PATCH_HEIGHTS, PATCH_SHORTENING, penalty)
     return float(np.abs(stress / exact - 1).max())
 
@@ -215,10 +215,11 @@ def test_the_bimorph_bends_as_published(comm: MPI.Comm) -> None:
             {"on": "top", "potential": 1},
         ],
     )
-    model = run(scene, comm).model
+    finished = run(scene, comm)
+    model = finished.model
     along_middle = np.isclose(model.unknowns.coordinates[:, 1], 0.5)
     x = model.unknowns.coordinates[along_middle, 0]
-    deflection = model.state.x.array.reshape(-1, model.unknowns.block)[along_middle, 1]
+    deflection = finished.state.x.array.reshape(-1, model.unknowns.block)[along_middle, 1]
     places = np.arange(20.0, 101.0, 20.0)
     measured = np.array([deflection[np.isclose(x, place)].item() for place in places])
     coupled, theory = (
