@@ -1,4 +1,4 @@
-"""Time and memory of a run, and imports that the garbage collector does not interrupt."""
+"""Time and memory of a run, and imports without garbage collection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ BUCKETS = ("setup", "mesh", "assembly", "contact", "linear_solve", "output")
 class Timer:
     """Wall-clock time of this rank in named buckets; a bucket opened inside another interrupts the outer one.
 
-    So no second is counted twice, and the buckets add up to at most the total since the timer was made.
+    No second is counted twice: the buckets add up to at most the total since the timer was made.
+
+    seconds (s, by bucket): time so far.
     """
 
     def __init__(self, buckets: Sequence[str] = BUCKETS) -> None:
@@ -39,7 +41,7 @@ class Timer:
             self._open.pop()
 
     def _count(self) -> None:
-        """Give the time since the last change to the bucket that is open."""
+        """Add the time since the last change to the open bucket."""
         now = perf_counter()
         if self._open:
             self.seconds[self._open[-1]] += now - self._last
@@ -62,7 +64,7 @@ def peak_memory_mb(comm: MPI.Comm) -> float:
 
 
 def give_back_memory() -> None:
-    """Give back what has been freed: where small pieces lie in between, the C library would keep it. Not collective."""
+    """Return freed memory to the system: the C library keeps it between pieces in use. Not collective."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:  # of the GNU C library alone
         trim(0)
@@ -70,9 +72,9 @@ def give_back_memory() -> None:
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Imports inside are not interrupted by garbage collection, which leaves what they have made alone from then on.
+    """Context for imports without garbage collection; later collections skip the objects that they made.
 
-    A quarter of the processor time of a small run, most of it at its end.
+    Saves a quarter of the processor time of a small run, most of it at its end.
     """
     gc.disable()
     try:

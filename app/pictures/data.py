@@ -1,4 +1,4 @@
-"""What a picture of a run needs, read from its folder: bodies, contact points, history; and fit units."""
+"""Data of a picture, read from the folder of a run: bodies, contact points, history; and units with prefixes."""
 
 from __future__ import annotations
 

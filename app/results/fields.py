@@ -1,4 +1,4 @@
-"""From a converged state to what is written of it: fields in the cells, contact points."""
+"""Fields in the cells and values at the contact points, computed from a converged state."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from piezomat.results.vtk import ContactPoints, FieldPiece, grid
 
 
 class FieldOutput:
-    """Turns solutions of a problem into field pieces; cell values are those at the cells' centres.
+    """Field pieces of a problem's solutions; cell values are those at the cells' centres.
 
-    With finite kinematics they are the current ones: Cauchy stress, field and electric displacement of space.
+    With finite kinematics they are current quantities: Cauchy stress, spatial field and electric displacement.
     """
 
     def __init__(self, problem: Problem) -> None:

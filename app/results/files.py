@@ -56,10 +56,12 @@ _CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)")
 
 
 class Results:
-    """Writes the results of one run into the folder `out`.
+    """The files of one run in the folder `out`.
 
-    Every method but `close` is collective over `comm`, and only rank 0 writes shared files. What goes wrong
-    on one rank (OSError: cannot write) is raised on all.
+    Every method but `close` is collective over `comm`, and only rank 0 writes shared files. An error on one rank
+    (OSError: cannot write) is raised on all.
+
+    rows: the rows of history.csv, the same on all ranks.
     """
 
     def __init__(self, out: Path, comm: MPI.Comm) -> None:
@@ -160,8 +162,8 @@ class Results:
     def summary(self, values: Mapping[str, Any]) -> None:
         """Write summary.json with the keys `SUMMARY_KEYS`; a number that is not finite becomes null.
 
-        `ranks`, `steps`, `peak_memory_mb` and `versions` are known here; ValueError unless `values` has the
-        others and nothing else.
+        `ranks`, `steps`, `peak_memory_mb` and `versions` are added; ValueError unless `values` has exactly the
+        others.
         """
         known = {
             "ranks": self.comm.size,
@@ -266,7 +268,7 @@ def read_history(path: Path) -> list[dict[str, Value]]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of piezomat and of what its numbers rest on; what is not installed is left out."""
+    """Versions of piezomat and of the programs that it uses; those that are not installed are left out."""
     from petsc4py import PETSc
 
     found = {

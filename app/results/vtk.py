@@ -1,4 +1,4 @@
-"""What one rank writes of a step, as VTK takes it, and the .pvd index that names the files of all."""
+"""Pieces: fields and contact points of one rank for VTK; and the .pvd index that names the files of all ranks."""
 
 from __future__ import annotations
 
