@@ -20,7 +20,8 @@ from pydantic import BaseModel, ValidationError, model_validator
 from piezomat.scene import toml as scene_file
 from piezomat.scene.checks import check
 from piezomat.scene.data import SceneData, groups_of
-from piezomat.scene.errors import SceneError, named, scene_error, unknown_name
+from piezomat.scene.errors import SceneError, named, unknown_name
+from piezomat.scene.validation import scene_error
 
 
 class Scene(SceneData):

@@ -9,7 +9,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 from piezomat.meshes.shapes import Shape, Shapes
-from piezomat.scene.errors import branches, describe, resolved, shown
+from piezomat.scene.errors import shown
+from piezomat.scene.json_schema import branches, describe, resolved
 from piezomat.scene.scene import schema
 
 # What is measured in which unit. They are one consistent set: no number needs a conversion factor.
