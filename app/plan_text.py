@@ -2,44 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from mpi4py import MPI
 
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import FADE
 from piezomat.discretization.model import Model
-from piezomat.discretization.prescribed_motion import largest_prescribed_voltage
 from piezomat.forms import fenicsx
 from piezomat.scene.errors import named
+from piezomat.scene.scene import Scene
+from piezomat.scene.sections import Contact, Load, Plane, Solver
 from piezomat.solver.linear import direct_limit_3d, is_direct
 
 AXES = "xyz"
 
 
-def plan_text(model: Model, contact: Interfaces | None) -> str:
+def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
     """The plan as lines of `what: choice (why)`. Collective; the same text on all ranks."""
     lines = [
-        ("scene", model.scene.title),
-        *_recipe(model),
+        ("scene", scene.title),
+        *_recipe(scene),
         ("mesh", _mesh(model)),
         ("unknowns", _unknowns(model)),
         ("material law", _law(model)),
         ("held", _held(model)),
-        ("contact", _contact(model, contact)),
-        *_electric(model, contact),
-        ("adhesion", _adhesion(model)),
-        *_planes(model),
-        ("load", _load(model)),
+        ("contact", _contact(scene.contact, model, contact)),
+        *_electric(scene.contact, model, contact),
+        ("adhesion", _adhesion(scene.contact)),
+        *_planes(scene.planes),
+        ("load", _load(scene.load)),
         ("solution", _solution(model, contact)),
-        ("linear solver", _linear_solver(model)),
-        ("memory", f"about {_memory_mb(model):.0f} MB over all ranks"),
+        ("linear solver", _linear_solver(scene.solver, model)),
+        ("memory", f"about {_memory_mb(scene.solver, model):.0f} MB over all ranks"),
     ]
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 
 
-def _recipe(model: Model) -> list[tuple[str, str]]:
-    outcome = model.scene.outcome
+def _recipe(scene: Scene) -> list[tuple[str, str]]:
+    outcome = scene.outcome
     return [] if outcome is None else [("recipe", str(outcome))]
 
 
@@ -89,8 +92,7 @@ def _held(model: Model) -> str:
     return "; ".join(notes) or "every part by its boundaries"
 
 
-def _contact(model: Model, contact: Interfaces | None) -> str:
-    keys = model.scene.contact
+def _contact(keys: Contact | None, model: Model, contact: Interfaces | None) -> str:
     if contact is None:
         return "none, since the scene has no [contact]"
     if keys is None:
@@ -113,11 +115,11 @@ def _contact(model: Model, contact: Interfaces | None) -> str:
     return f"{what}, {where}, {passes}, {points} points, penalties for {both}{curved}"
 
 
-def _electric(model: Model, contact: Interfaces | None) -> list[tuple[str, str]]:
+def _electric(keys: Contact | None, model: Model, contact: Interfaces | None) -> list[tuple[str, str]]:
     fades = [p.law.fade for p in contact.point_sets if p.law.fade is not None] if contact is not None else []
     if not model.comm.allreduce(len(fades)):
         return []
-    keys, voltage = model.scene.contact, largest_prescribed_voltage(model)
+    voltage = model.prescription.largest_voltage()
     if keys is not None and keys.electric_range is not None:
         text = f"fades out over a gap of {keys.electric_range:g} um, given by the scene"
     else:
@@ -127,9 +129,9 @@ def _electric(model: Model, contact: Interfaces | None) -> list[tuple[str, str]]
     return [("electric contact", text)]
 
 
-def _planes(model: Model) -> list[tuple[str, str]]:
+def _planes(planes: Sequence[Plane]) -> list[tuple[str, str]]:
     notes = []
-    for plane in model.scene.planes:
+    for plane in planes:
         kind = "insulator" if plane.potential is None else f"electrode at {plane.potential:g} V"
         if plane.potential_follows is not None:
             kind += f" times {plane.potential_follows}"
@@ -138,16 +140,15 @@ def _planes(model: Model) -> list[tuple[str, str]]:
     return [("planes", ", ".join(notes))] if notes else []
 
 
-def _adhesion(model: Model) -> str:
-    keys = model.scene.contact.adhesion if model.scene.contact is not None else None
+def _adhesion(contact: Contact | None) -> str:
+    keys = contact.adhesion if contact is not None else None
     if keys is None:
         return "none, so no history is kept"
     start = "once pressed together" if keys.starts == "touch" else "within its range from the start"
     return f"{keys.law} law, strength {keys.strength:g} MPa, {start}"
 
 
-def _load(model: Model) -> str:
-    load = model.scene.load
+def _load(load: Load) -> str:
     stages = f"{sum(load.steps)} steps in {len(load.steps)} stages" if len(load.steps) > 1 else f"{load.steps[0]} steps"
     return f"{stages}, factors: {', '.join(load.factors) or 'none'}"
 
@@ -169,9 +170,8 @@ def _solution(model: Model, contact: Interfaces | None) -> str:
     return text
 
 
-def _linear_solver(model: Model) -> str:
-    keys = model.scene.solver
-    direct = is_direct(model)
+def _linear_solver(keys: Solver, model: Model) -> str:
+    direct = is_direct(model, keys)
     name = "direct (MUMPS)" if direct else f"FGMRES{_multigrid(model)}"
     if keys.kind != "auto":
         return f"{name}, chosen by the scene"
@@ -189,12 +189,12 @@ def _multigrid(model: Model) -> str:
     return f"{split}algebraic multigrid on each" if model.electric else " with algebraic multigrid (rigid-body modes)"
 
 
-def _memory_mb(model: Model) -> float:
+def _memory_mb(keys: Solver, model: Model) -> float:
     """Estimated memory: a base for each rank, four copies of the matrix, and factors with George and Liu's fill."""
     n = model.unknowns.total
     neighbours = {2: (7, 20), 3: (15, 60)}[model.dim][model.bodies.order - 1]
     matrix = 4 * 12 * n * neighbours * model.unknowns.block
     factors = 0.0
-    if is_direct(model):
+    if is_direct(model, keys):
         factors = 8 * (6.0 * n * model.unknowns.block * max(n, 2) ** 0.15 if model.dim == 2 else 16.0 * n ** (4 / 3))
     return 170 * model.comm.size + (matrix + factors) / 1e6

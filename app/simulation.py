@@ -90,7 +90,8 @@ def run(
             contact = interfaces_of(model)
         problem = Problem(model, contact, timer)
         newton = Newton(problem, scene.solver)
-        stepper = Stepper(problem, newton, scene.solver.max_cutbacks)
+        augment_tolerance = scene.contact.augment if scene.contact is not None else None
+        stepper = Stepper(problem, newton, scene.solver.max_cutbacks, augment_tolerance)
         balance = EnergyBalance(problem)
         if not resume:
             _check_overlap(problem)
@@ -281,7 +282,7 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
         model = Model(scene, bodies)
-        return plan_text(model, interfaces_of(model))
+        return plan_text(scene, model, interfaces_of(model))
 
 
 def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:

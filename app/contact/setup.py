@@ -14,7 +14,6 @@ from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import Pairs, SurfacePair
 from piezomat.discretization.model import Model
-from piezomat.discretization.prescribed_motion import largest_prescribed_motion, largest_prescribed_voltage
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
@@ -235,7 +234,7 @@ def _pass(
     numbers = global_numbers(model.unknowns.space, master.nodes)
     masters = GhostFacets(numbers, master.orientation, master.key, master_component, master.rounding)
     slaves = SlaveFacets.of(model.unknowns.space, slave, slave_component, model.bodies.cell_body[slave.cells])
-    radius = largest_prescribed_motion(model) + NEAR * depth
+    radius = model.prescription.largest_motion() + NEAR * depth
     rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
@@ -268,9 +267,8 @@ def _interface_law(
         if keys.electric_range is not None:
             fade = np.full(len(size), keys.electric_range)
         else:
-            fade = np.maximum(
-                FADE * size, stable_electric_range(largest_prescribed_voltage(model), permittivity, stiffness)
-            )
+            voltage = model.prescription.largest_voltage()
+            fade = np.maximum(FADE * size, stable_electric_range(voltage, permittivity, stiffness))
     adhesion = _adhesion(model, penalty) if adhesive else None
     return InterfaceLaw(penalty, adhesion, electric, fade)
 

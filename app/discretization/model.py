@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from piezomat.discretization.constraints import Constraints
 from piezomat.discretization.loads import Loads
+from piezomat.discretization.prescription import Prescription
 from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms import fenicsx
@@ -34,6 +35,7 @@ class Model:
     unknowns: the space, and where unknowns stand in vectors
     parts: connected parts and their extents
     constraints: fixed unknowns and their values
+    prescription: largest motion and voltage that boundaries and planes prescribe
     loads: tractions, pressures and charges
     unconstrained (parts, 2): whether no boundary constrains the rigid-body modes of a part, and its mean potential
     constitutive_field: DG0 Function, enthalpy matrix of each cell
@@ -68,6 +70,7 @@ class Model:
         dielectric = self._dielectric_nodes()
         self.parts = parts_of(bodies, self.unknowns)
         self.constraints = Constraints(scene.boundaries, self.unknowns, bodies, dielectric, self.potential_scale)
+        self.prescription = Prescription(self.comm, self.constraints, scene.planes, scene.load)
         self.loads = Loads(self.constraints.conditions, bodies)
         self.unconstrained = unconstrained(self.parts, self.unknowns, self.constraints, dielectric)
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.discretization.prescribed_motion import largest_prescribed_motion
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.ghost_scatter import GhostScatter
@@ -41,7 +40,7 @@ class Condensation:
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.unknowns.block
         self.candidates = np.zeros(0, np.int64)
-        motion = largest_prescribed_motion(problem.model) or problem.contact.least_search_radius()
+        motion = problem.model.prescription.largest_motion() or problem.contact.least_search_radius()
         self._ahead = problem.contact.candidate_distance = AHEAD * motion
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._of = -1

@@ -37,18 +37,16 @@ def direct_limit_3d(model: Model) -> int:
     return LOOSE_LIMIT_3D if model.has_unconstrained_bodies else DIRECT_LIMIT_3D
 
 
-def is_direct(model: Model) -> bool:
+def is_direct(model: Model, keys: Solver) -> bool:
     """Whether the linear systems are factorized: in 2D, and in 3D as long as that is cheap, unless told otherwise."""
-    kind = model.scene.solver.kind
-    if kind != "auto":
-        return kind == "direct"
+    if keys.kind != "auto":
+        return keys.kind == "direct"
     return model.dim == 2 or model.unknowns.total <= direct_limit_3d(model)
 
 
 def linear_solver(problem: Problem, keys: Solver) -> Direct | Multigrid:
     """The solver that suits a problem, unless the scene's [solver] asks for another."""
-    model = problem.model
-    return (Direct if is_direct(model) else Multigrid)(problem, keys)
+    return (Direct if is_direct(problem.model, keys) else Multigrid)(problem, keys)
 
 
 class _Operator:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.uzawa import augment
-from piezomat.discretization.prescribed_motion import Factors, largest_prescribed_voltage, prescribed_motion
+from piezomat.discretization.prescription import Factors
 from piezomat.forms.contact.laws.interface import stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
@@ -81,10 +81,14 @@ class AugmentationError(SolveError):
 class Stepper:
     """Takes a problem through load steps. Every method is collective."""
 
-    def __init__(self, problem: Problem, newton: Newton, max_cutbacks: int) -> None:
+    def __init__(
+        self, problem: Problem, newton: Newton, max_cutbacks: int, augment_tolerance: float | None = None
+    ) -> None:
+        """augment_tolerance: see `contact.augment` of a scene; None: no augmentation."""
         self.problem = problem
         self.newton = newton
         self.max_cutbacks = max_cutbacks
+        self.augment_tolerance = augment_tolerance
         self.size = 1.0  # share of a step that is tried at once; kept from step to step
         self.last_motion = 0.0  # how far a node moved in the last solve, um
 
@@ -128,7 +132,7 @@ class Stepper:
         """
         problem = self.problem
         problem.set_loads(factors)
-        prescribed = prescribed_motion(problem.model, factors, before)
+        prescribed = problem.model.prescription.motion(factors, before)
         margin = self.margin(prescribed)
         problem.begin_step(margin)
         if drag is not None:
@@ -149,16 +153,16 @@ class Stepper:
 
     def _solve(self, margin: float, prescribed: float, report: StepReport) -> None:
         """Bring the problem to equilibrium, again after each step of augmentation until gap and jump are small."""
-        problem, keys = self.problem, self.problem.model.scene.contact
+        problem, tolerance = self.problem, self.augment_tolerance
         for number in range(AUGMENTATIONS + 1):
             solve = self.newton.solve(margin, prescribed)
             report.newton += solve.iterations
             report.krylov += solve.krylov
             report.solves.append(solve)
             report.augmentations += number > 0
-            if keys is None or keys.augment is None:
+            if tolerance is None:
                 return
-            left = augment(problem.contact, keys.augment, problem.potential_range())
+            left = augment(problem.contact, tolerance, problem.potential_range())
             if left is None:
                 return
         gap, jump = left
@@ -189,9 +193,8 @@ class Stepper:
             float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.point_sets if p.law.fade is not None
         ]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
-        voltage = largest_prescribed_voltage(
-            model
-        )  # what the bodies make of their strain has never pulled them together
+        # Potentials that the bodies' own strain causes have never pulled surfaces together.
+        voltage = model.prescription.largest_voltage()
         permittivity = min((m.mean_permittivity for m in model.materials if m.electric), default=0.0)
         wanted = stable_electric_range(voltage, permittivity, min(m.mean_stiffness for m in model.materials))
         if fade >= PULLED_IN * wanted:

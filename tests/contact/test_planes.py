@@ -12,7 +12,6 @@ from mpi4py import MPI
 
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
-from piezomat.discretization.prescribed_motion import largest_prescribed_voltage
 from piezomat.meshes.body_mesh import create
 from piezomat.results.files import read_history
 from piezomat.scene import Scene, SceneError
@@ -101,7 +100,7 @@ def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
     (root,) = scene.boundaries
     scene = scene.model_copy(update={"boundaries": [root.model_copy(update={"potential": given})]})
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    assert largest_prescribed_voltage(model) == pytest.approx(voltage)
+    assert model.prescription.largest_voltage() == pytest.approx(voltage)
     stiffness = model.materials[0].mean_stiffness
     wanted = 3.0 * voltage * np.sqrt(PERMITTIVITY / stiffness)
     for plane in interfaces_of(model).planes:
