@@ -30,9 +30,9 @@ from piezomat.pictures.plots import (
     draw_curves,
     draw_pressure_2d,
     draw_pressure_3d,
-    forces_shown,
+    electric_curve,
+    force_curves,
     plain,
-    voltage_shown,
 )
 from piezomat.pictures.render import Image, render, section
 from piezomat.results.atomic import replacing
@@ -89,10 +89,10 @@ def draw(run: RunData) -> Figure:
             panels["pressure"] = lambda ax: draw_pressure_2d(ax, contact, run.pair_name)
         else:
             panels["pressure"] = lambda ax: draw_pressure_3d(ax, contact)
-    forces, voltage = forces_shown(run), voltage_shown(run)
-    # a single step with no force shows a voltage that was given
-    if forces or (voltage and len(run.history) > 1):
-        panels["curves"] = lambda ax: draw_curves(ax, run, forces, voltage)
+    forces, electric = force_curves(run), electric_curve(run)
+    # Without forces a single step would show nothing but a prescribed potential.
+    if forces or (electric and len(run.history) > 1):
+        panels["curves"] = lambda ax: draw_curves(ax, run, forces, electric)
 
     if not panels:
         raise ResultsError(f"the results of '{run.title}' have nothing to show: no fields, force or voltage")

@@ -93,7 +93,7 @@ def draw_pressure_3d(ax: Any, contact: ContactData) -> None:
     _head(ax, title, *ax.get_legend_handles_labels())
 
 
-def forces_shown(run: RunData) -> list[tuple[str, str]]:
+def force_curves(run: RunData) -> list[tuple[str, str]]:
     """Columns and labels of the forces to be shown: of each contact pair its largest component, else of the
     boundary with the largest force. None where all are zero but for rounding."""
     best: dict[tuple[bool, str], tuple[float, str, str]] = {}
@@ -115,7 +115,7 @@ def forces_shown(run: RunData) -> list[tuple[str, str]]:
     return [(name, text) for _, name, text in contacts or boundaries]
 
 
-def voltage_shown(run: RunData) -> tuple[str, str, str] | None:
+def electric_curve(run: RunData) -> tuple[str, str, str] | None:
     """Column, label and unit of the electric curve.
 
     The mean potential that varies most over the steps; if none does, the charge that does; if neither does,
