@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
+from piezomat.contact.interface_laws import FADE
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.setup import FADE
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.scene.errors import named

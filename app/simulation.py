@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
-from piezomat.contact.untouched_bodies import left_alone, touching_bodies
+from piezomat.contact.untouched_bodies import untouched_bodies
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
 from piezomat.meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
@@ -166,7 +166,9 @@ class _Session:
                     break
                 self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
-        untouched = left_alone(self.model, self._touched) if self.history and self.problem.contact is not None else []
+        untouched = (
+            untouched_bodies(self.model, self._touched) if self.history and self.problem.contact is not None else []
+        )
         if untouched:
             log.warning("held by weak springs alone, these bodies never touched anything: %s", named(untouched))
         if failure is not None:
@@ -186,7 +188,7 @@ class _Session:
         self.history.append(row(self.problem, self.balance, step, report, seconds))
         self.last_step = step.number
         if self.problem.contact is not None:
-            self._touched |= touching_bodies(self.model, self.problem.contact)
+            self._touched |= self.problem.contact.touching_bodies()
         self._keep_state()
         if self.results is None:
             return

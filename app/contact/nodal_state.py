@@ -1,4 +1,4 @@
-"""The state of the nodes that contact is evaluated at, and how."""
+"""The state of the nodes at which contact is evaluated, and what of its law and tangent is taken into account."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from piezomat.forms.arrays import Array
 
 @dataclass(frozen=True)
 class NodalState:
-    """The state that contact is evaluated at: position (n, d) of the nodes, um, and their potential unknowns (n,).
+    """Positions and potentials of the nodes that a rank sees, and the mode of the evaluation.
 
-    These times `scale` are potentials, V; both are None where there are none. block_size: unknowns of a node. pulls:
-    whether the electric contact pulls on the surfaces; exact: whether the tangent is; for both see
-    `InterfaceLaw.respond`.
+    position (n, d): um
+    potentials (n,): potential unknowns; times `scale` they are V. Both are None without potentials
+    block_size: number of unknowns of a node
+    attraction: whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`
+    consistent_tangent: whether the tangent has the geometric stiffness and the negative stiffness of the attraction
     """
 
     position: Array

@@ -1,104 +1,126 @@
-"""Partners: which master facet each point of a pass meets, kept from one evaluation to the next."""
+"""When the local search looks for new closest points, and when the global search must be repeated."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from mpi4py import MPI
 
+from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, PROJECTION_TOLERANCES, SearchLimits
+from piezomat.contact.detected_facets import LARGEST_SHAPE
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.facets import Facets
-from piezomat.forms.contact.gap import point_normals, project
-from piezomat.meshes.contact.local_search import closest_facets
+from piezomat.meshes import parallel
 
-# A point keeps its master facet until its projection has left it by this share of the facet; the share grows with
-# the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
-KEEP = ((0, 0.02), (5, 0.1), (10, 0.5))
-KEPT = 0.1  # and at the end of a solve by this share at most
+# Points without a closest point are searched for again once a surface has moved by this share of a facet since.
+DRIFT = 0.05
+MARGIN = 0.5  # facet sizes: gap beyond the detection range up to which closest points are kept
 
 
-@dataclass
-class Search:
-    """How far partners are kept and looked for.
+class ContactSearch:
+    """Local search of all surface pairs, between two detections.
 
-    keep: share of a facet by which a point's projection may leave it. everywhere: whether points that meet nothing
-    are looked at too, those that may be within `reach` (um) of something; far (um): how far off they may then find
-    it. touch (um): up to where a point touches something. depth (um): how deep inside a body a point may be at least.
-    drift (um): how much nearer to each other things may have come since the last search everywhere.
+    Invariant: after `update` nothing that a point may meet, other than its closest point, is within the interaction
+    range of the point and nearer than that, unless it has come so near by less than `DRIFT` of a facet.
+
+    mean_facet_size: geometric mean of all facets, um
+    interaction_range: largest gap with a traction or a charge, um
+    candidate_distance: gap up to which a solver needs closest points, um
+    radius: search radius of the last detection, um
+    radius_exceeded: whether a node has moved by more than half of it since
     """
 
-    keep: float
-    everywhere: bool
-    reach: float
-    far: float
-    touch: float
-    depth: float
-    drift: float
+    def __init__(
+        self, comm: MPI.Comm, pairs: Sequence[SurfacePair], bodies: int, interaction_range: float, facet_size: float
+    ) -> None:
+        self.comm = comm
+        self.pairs = pairs
+        self.mean_facet_size, self.interaction_range = facet_size, interaction_range
+        self.candidate_distance = 0.0
+        self.radius, self.radius_exceeded = 0.0, False
+        self._bodies = bodies
+        self._projection_tolerance = PROJECTION_TOLERANCES[0][1]
 
+    def restart(self, displacement: Array, radius: float) -> None:
+        """Begin after a detection with this search radius, the seen nodes displaced by (n, d)."""
+        self.radius, self.radius_exceeded = radius, False
+        self.detected_at = self._searched_at = displacement.copy()
+        self._searched = False
+        self._projected_at: Array | None = None
+        self._projection_tolerance = PROJECTION_TOLERANCES[0][1]
 
-def update_projections(p: SurfacePair, position: Array, search: Search) -> None:
-    """Keep the facets of a pass's points as long as they project onto them, search for the others', and project.
+    def set_iteration(self, iteration: int) -> None:
+        """Let points keep their master facets by the tolerance of this Newton iteration of a solve."""
+        self._projection_tolerance = max(share for start, share in PROJECTION_TOLERANCES if iteration >= start)
 
-    position (n, d): where the nodes are. Sets the pass's `facet`, `xi`, `found_beyond`, `clear`, `met`, `position` and
-    `projection`.
-    """
-    kind = p.slave.kind
-    points = np.einsum("mk,mkd->md", p.points.shape[p.near_points], p.slave_at(position, p.points.facet[p.near_points]))
-    near = np.full(len(p.near_points), search.reach)  # what comes nearer than this is to be seen
-    have = np.flatnonzero(p.master_facet >= 0)
-    left = np.zeros(0, np.int64)
-    if len(have):
-        facet = p.master_facet[have]
-        nodes = p.master_at(position, facet)
-        projection = project(kind, points[have], nodes, p.ghost_facets.orientation[facet], p.master_xi[have])
-        p.master_xi[have] = projection.xi
-        # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
-        keep = np.maximum(search.keep, np.minimum(p.initial_overshoot[have] + KEEP[0][1], KEPT))
-        left = have[kind.overshoot(projection.xi) > keep]
-        # Something else may have come nearer than a partner that does not touch.
-        near[have] = np.where(projection.gap > search.touch, np.minimum(projection.gap, search.reach), -np.inf)
-    lost = ~(p.distance_bound > p.motion_since_search + near) & search.everywhere  # numbers or not
-    lost[left] = True
-    if lost.any():
-        _look_for(p, points, position, lost, search)
-    p.projected = np.flatnonzero(p.master_facet >= 0)
-    p.position, facet = points[p.projected], p.partner
-    masters = p.master_at(position, facet)
-    p.projection = project(kind, p.position, masters, p.ghost_facets.orientation[facet], p.master_xi[p.projected])
-    p.master_xi[p.projected] = p.projection.xi
+    def tighten(self) -> bool:
+        """Lower the projection tolerance to that of the end of a solve; whether it was larger."""
+        larger = self._projection_tolerance > FINAL_PROJECTION_TOLERANCE
+        self._projection_tolerance = min(self._projection_tolerance, FINAL_PROJECTION_TOLERANCE)
+        self._projected_at = None
+        return larger
 
+    def limits(self, displacement: Array, *, search: bool, depth: float) -> SearchLimits:
+        """Limits of the next `update`, with the seen nodes displaced by (n, d). Collective.
 
-def _look_for(p: SurfacePair, points: Array, position: Array, lost: NDArray[np.bool_], search: Search) -> None:
-    kind = p.slave.kind
-    own = p.points.facet[p.near_points[lost]]
-    normals = np.zeros_like(points)
-    normals[lost] = point_normals(
-        kind, p.points.xi[p.near_points[lost]], p.slave_at(position, own), p.slave.orientation[own]
-    )
-    p.master_facet[lost], p.distance_bound[lost] = -1, -np.inf
-    least = np.full(len(p.near_points), np.inf)  # gap of the partner
-    away = np.full(len(p.near_points), np.inf)  # least distance of the partner's component, plus approach
-    clear = np.full(len(p.near_points), np.inf)  # and of all others
-    for near, facets, own in zip(p.candidate_pairs.points, p.candidate_pairs.facets, p.self_candidates, strict=True):
-        tried = near[lost[near]]
-        if not len(tried):
-            continue
-        nodes, orientation = p.master_at(position, facets), p.ghost_facets.orientation[facets]
-        masters = Facets(kind, nodes, orientation, p.ghost_facets.key[facets])
-        pairs, depth = None, max(p.depth, search.depth)
-        if own is not None:
-            pairs, depth = own.of_points(p.points.facet[p.near_points[tried]]), max(p.self_depth, search.depth)
-        found, xi, off = closest_facets(points[tried], normals[tried], masters, max(search.far, depth), depth, pairs)
-        off += p.motion_since_search[tried] - search.drift
-        met = np.flatnonzero(found >= 0)
-        gap = np.full(len(tried), np.inf)
-        gap[met] = project(kind, points[tried[met]], nodes[found[met]], orientation[found[met]], xi[met]).gap
-        # Of several bodies a point meets the one that it is deepest in, or nearest to.
-        nearer = (gap < least[tried]) & (gap <= search.far)
-        clear[tried] = np.minimum(clear[tried], np.where(nearer, away[tried], off))
-        tried, found, xi, gap = tried[nearer], found[nearer], xi[nearer], gap[nearer]
-        least[tried], away[tried], p.master_facet[tried], p.master_xi[tried] = gap, off[nearer], facets[found], xi
-        p.initial_overshoot[tried] = np.where(gap > search.touch, kind.overshoot(xi), 0.0)
-    p.distance_bound[lost] = clear[lost]
+        search: whether points without a closest point are searched for; depth: penetration that is accepted, um.
+        """
+        drift = self._moved(displacement)
+        everywhere = search and self._due(drift)
+        if everywhere:
+            self._note_search(displacement)
+            drift = 0.0
+        # How near two points can come if no component of a node moves by more than 1.
+        approach = 2.0 * np.sqrt(displacement.shape[1]) * LARGEST_SHAPE[2]
+        # Beyond the detection range nothing acts before all points are searched for again.
+        detection = self.interaction_range + approach * DRIFT * self.mean_facet_size
+        candidates = max(detection + MARGIN * self.mean_facet_size, self.candidate_distance)
+        return SearchLimits(
+            self._projection_tolerance,
+            everywhere,
+            detection,
+            candidates,
+            self.interaction_range,
+            depth,
+            approach * drift,
+        )
+
+    def update(self, position: Array, limits: SearchLimits) -> None:
+        """Find the closest points with the seen nodes at `position` (n, d).
+
+        A tangent is mostly evaluated where the residual was evaluated last: closest points are then at hand.
+        LinAlgError, ValueError: facets have collapsed.
+        """
+        same = self._projected_at is not None and np.array_equal(position, self._projected_at)
+        self._projected_at = position
+        if limits.everywhere or not same:
+            for p in self.pairs:
+                p.update_projections(position, limits)
+
+    def discard_projections(self) -> None:
+        """Project anew at the next update, even at the same state."""
+        self._projected_at = None
+
+    def discard_search(self) -> None:
+        """Search everywhere at the next update that may."""
+        self._searched = False
+
+    def _moved(self, displacement: Array) -> float:
+        """Largest component of a node's motion since the last search everywhere, um; notes that since detection."""
+        motions = [np.abs(displacement - since).max(initial=0.0) for since in (self.detected_at, self._searched_at)]
+        moved, drift = parallel.largest(self.comm, np.array(motions))
+        self.radius_exceeded = bool(moved > 0.5 * self.radius)
+        return float(drift)
+
+    def _due(self, drift: float) -> bool:
+        """Whether all points are to be searched for."""
+        return not self._searched or drift > DRIFT * self.mean_facet_size
+
+    def _note_search(self, displacement: Array) -> None:
+        """Add the bodies' motions since the last search everywhere to their points', and start from here."""
+        change = displacement - self._searched_at
+        motions = [p.facets.largest_motions(change, self._bodies) for p in self.pairs]
+        for p, moved in zip(self.pairs, parallel.largest(self.comm, np.array(motions)), strict=True):
+            p.closest.add_motion(moved)
+        self._searched, self._searched_at = True, displacement.copy()

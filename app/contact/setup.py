@@ -1,4 +1,4 @@
-"""From the scene's [contact] section to contact passes: which surfaces, points, penalties and adhesion."""
+"""From the scene's [contact] and [[planes]] to surface pairs and rigid planes: their surfaces, points and ranks."""
 
 from __future__ import annotations
 
@@ -6,21 +6,18 @@ from dataclasses import replace
 from itertools import combinations_with_replacement, product
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from piezomat.contact.interface_laws import adhesion_law, facet_sizes, interface_law
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.pairs import Pairs
 from piezomat.contact.rigid_plane import RigidPlane
-from piezomat.contact.surface_pair import Pairs, SurfacePair
+from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.augmentation import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
-from piezomat.forms.contact.laws.cohesive import CohesiveLaw
-from piezomat.forms.contact.laws.interface import InterfaceLaw, stable_electric_range
-from piezomat.forms.contact.laws.lennard_jones import LennardJones
-from piezomat.forms.contact.laws.response import AdhesionLaw
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
@@ -35,11 +32,8 @@ from piezomat.scene.sections import SIDES, Plane
 from piezomat.scene.sections import Contact as ContactKeys
 
 LISTED_BODIES = 6  # of more bodies, the pairs have no columns in the history
-# Default gap over which the electric contact fades out, in facet sizes. Measured on facing_halves and crossed_fibers:
-# it lowers the voltage by 3 % in 2D and 13 % in 3D, less as facets shrink; 0.01 lowers it by 1 and 2 %, but attraction
-# is then so steep that there are several equilibria, and with stiff penalties Newton's method takes twice as long.
-FADE = 0.1
-# Of half the least thickness: how near surfaces are, beyond the motion prescribed, whose contact is shared out.
+# Facets that are nearer to each other than the prescribed motion and this share of half the least thickness are
+# distributed over the ranks.
 NEAR = 0.1
 
 
@@ -49,20 +43,21 @@ def interfaces_of(model: Model) -> Interfaces | None:
     if keys is None and not model.scene.planes:
         return None
     thickness = _fiber_thickness(model) if keys is not None and keys.self_contact else None
+    names = tuple(plane.name for plane in model.scene.planes)
     if keys is None:
-        passes, pairs = [], Pairs((), (), {})
+        surface_pairs, pairs = [], Pairs((), (), {}, names)
     elif keys.pairs == "auto":
-        passes, pairs = _of_bodies(model, thickness)
+        surface_pairs, pairs = _of_bodies(model, thickness, names)
     else:
-        passes, pairs = _of_scene(model)
+        surface_pairs, pairs = _of_scene(model, names)
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
     geodesic = _geodesic(model, thickness) if thickness is not None else None
-    return Interfaces(model.comm, model.unknowns.space, x, passes, planes, pairs, scale, geodesic)
+    return Interfaces(model.comm, model.unknowns.space, x, surface_pairs, planes, pairs, scale, geodesic)
 
 
-def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:
-    """Passes of the pairs that the scene names."""
+def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
+    """The passes of the pairs that the scene names."""
     keys = model.scene.contact
     surfaces: dict[str, Surface] = {}
     passes = []
@@ -77,14 +72,14 @@ def _of_scene(model: Model) -> tuple[list[SurfacePair], Pairs]:
             ]
             passes.append(_pass(model, number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first))
     names = tuple("-".join(pair) for pair in keys.pairs)
-    return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)))
+    return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)), planes)
 
 
-def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair], Pairs]:
-    """Passes of every two bodies that share no node: one for all bodies of a kind against all of another.
+def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
+    """The passes of all bodies of a kind against all of another: every two bodies that share no node.
 
-    With self-contact, given the `thickness` of parts, every two bodies, and each with itself. A kind is what the
-    penalties depend on: stiffness and permittivity.
+    With self-contact, given the `thickness` of parts, every two bodies, and each with itself. Bodies of one kind have
+    the stiffness and the permittivity in common, on which the penalties depend.
     """
     bodies, keys = model.bodies, model.scene.contact
     rule = PairingRule(len(bodies.part_bodies), ordered=keys.passes == 1, self_contact=keys.self_contact)
@@ -109,11 +104,11 @@ def _of_bodies(model: Model, thickness: Array | None) -> tuple[list[SurfacePair]
             passes.append(_pass(model, len(passes), *given, rule, True, thickness))
     if not passes and not model.scene.planes:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
-    return passes, _listed(model)
+    return passes, _pairs_of_bodies(model, planes)
 
 
-def _listed(model: Model) -> Pairs:
-    """All pairs of bodies, if they are few."""
+def _pairs_of_bodies(model: Model, planes: tuple[str, ...]) -> Pairs:
+    """Any two bodies; those that may meet are listed if they are few."""
     bodies = model.bodies
     count = len(bodies.bodies)
     listed = {}
@@ -122,7 +117,7 @@ def _listed(model: Model) -> Pairs:
         itself = model.scene.contact.self_contact
         meet = [(i, j) for i, j in combinations_with_replacement(range(count), 2) if itself or not parts[i] & parts[j]]
         listed = {i * count + j: f"{bodies.bodies[i]}-{bodies.bodies[j]}" for i, j in meet}
-    return Pairs(bodies.bodies, None, listed)
+    return Pairs(bodies.bodies, None, listed, planes)
 
 
 def _geodesic(model: Model, thickness: Array) -> PETSc.Vec:
@@ -159,17 +154,29 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     body = model.bodies.cell_body[surface_here.cells]
     outside = SlaveFacets.of(model.unknowns.space, surface_here, np.zeros(len(body), np.int64), body)
     points = _points(keys, outside)
-    size, body = _facet_sizes(outside)[points.facet], body[points.facet]
+    size, body = facet_sizes(outside)[points.facet], body[points.facet]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
     low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
     high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
+    voltage = model.prescription.largest_voltage()
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]))
         electric = permittivity if plane.potential is not None else None
-        law = _interface_law(model, keys, size, stiffness, electric, adhesive=False)
-        found.append(RigidPlane(number, plane, start, normal, outside, points, law, size))
+        law = interface_law(keys, voltage, size, stiffness, electric)
+        found.append(
+            RigidPlane(
+                pair=number,
+                plane=plane,
+                start=start,
+                normal=normal,
+                slave=outside,
+                points=points,
+                law=law,
+                facet_size=size,
+            )
+        )
     return found
 
 
@@ -228,6 +235,7 @@ def _pass(
     first: bool,
     thickness: Array | None = None,
 ) -> SurfacePair:
+    """One pass, with slave facets distributed over the ranks; components (f,) of its facets here. Collective."""
     keys, comm = model.scene.contact, model.comm
     slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
     depth = _depth(model, slave, master)
@@ -240,84 +248,38 @@ def _pass(
     shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
     slaves = slaves.redistributed(comm, rank)
     points = _points(keys, slaves, shared)
-    size = _facet_sizes(slaves)[points.facet]
+    size = facet_sizes(slaves)[points.facet]
     materials = [model.materials[i] for i in slave_bodies | master_bodies]
     stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))
     permittivity = np.full(len(size), min(m.mean_permittivity for m in materials))
     # Where one of the bodies has no permittivity, no charge passes.
     electric = permittivity if all(m.electric for m in materials) else None
-    law = _interface_law(model, keys, size, stiffness, electric, adhesive=True)
-    own_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
-    given = slaves, masters, frozenset(master_bodies), rule, points, law, 1.0 / keys.passes, first, size
-    return SurfacePair(number, *given, depth, own_depth, keys.method == "segment")
-
-
-def _interface_law(
-    model: Model, keys: ContactKeys, size: Array, stiffness: Array, permittivity: Array | None, *, adhesive: bool
-) -> InterfaceLaw:
-    """The law at points with these facet sizes (m,), stiffnesses (m,) and permittivities (m,)."""
-    penalty = np.full(len(size), keys.normal_penalty or 0.0)
-    if keys.normal_penalty is None:
-        penalty = keys.normal_penalty_factor * stiffness / size
-    electric, fade = None, None
-    if permittivity is not None:
-        electric = np.where(permittivity > 0.0, keys.electric_penalty or 0.0, 0.0)
-        if keys.electric_penalty is None:
-            electric = keys.electric_penalty_factor * permittivity / size
-        if keys.electric_range is not None:
-            fade = np.full(len(size), keys.electric_range)
-        else:
-            voltage = model.prescription.largest_voltage()
-            fade = np.maximum(FADE * size, stable_electric_range(voltage, permittivity, stiffness))
-    adhesion = _adhesion(model, penalty) if adhesive else None
-    return InterfaceLaw(penalty, adhesion, electric, fade)
-
-
-def _adhesion(model: Model, penalty: Array) -> AdhesionLaw | None:
-    keys = model.scene.contact.adhesion
-    if keys is None:
-        return None
-    least = model.comm.allreduce(float(penalty.min(initial=np.inf)), op=MPI.MIN)
-    if keys.law == "lennard_jones":
-        try:
-            LennardJones.of(keys.strength, keys.energy, np.array([least]))
-        except ValueError as error:
-            raise SceneError("contact.adhesion.strength", str(error), "a law no stiffer than the penalty") from None
-        return LennardJones.of(keys.strength, keys.energy, penalty)
-    longest = keys.strength / least
-    energy = keys.energy
-    if energy is None:
-        if keys.range <= longest:
-            raise SceneError(
-                "contact.adhesion.range", f"{keys.range:g}", f"more than strength / normal_penalty = {longest:g} um"
-            )
-        # A range is the same for all points, the energy up to it is not: it depends on the penalty.
-        return CohesiveLaw.cutoff_at(keys.strength, keys.range, penalty, keys.starts == "always")
-    if energy <= 0.5 * keys.strength * longest:
-        allowed = (
-            f"more than strength^2 / (2 normal_penalty) = {0.5 * keys.strength * longest:g} pJ/um2, or a larger penalty"
-        )
-        raise SceneError("contact.adhesion.energy", f"{energy:g}", allowed)
-    law = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[keys.law]
-    return law(keys.strength, energy, penalty, keys.starts == "always")
-
-
-def _facet_sizes(group: SlaveFacets) -> Array:
-    """Length of each facet, or the side of a square of its area."""
-    points = quadrature_points(group.kind, group.reference)
-    area = np.bincount(points.facet, points.weight, minlength=len(group))
-    if group.kind.dim == 1:
-        return area
-    return np.sqrt(2.0 * area if group.kind.simplex else area)
+    law = interface_law(keys, model.prescription.largest_voltage(), size, stiffness, electric)
+    return SurfacePair(
+        pair=number,
+        slave=slaves,
+        master=masters,
+        master_bodies=frozenset(master_bodies),
+        rule=rule,
+        points=points,
+        law=replace(law, adhesion=adhesion_law(comm, keys, law.penalty)),
+        facet_size=size,
+        share=1.0 / keys.passes,
+        first=first,
+        depth=depth,
+        self_depth=0.5 * float(thickness.min()) if thickness is not None else depth,
+        segments=keys.method == "segment",
+    )
 
 
 def _depth(model: Model, *surfaces: Surface) -> float:
-    """Half the least thickness of the parts that surfaces belong to, um."""
+    """Half the least thickness of the parts that surfaces belong to, um. Collective."""
     here = {int(part) for group in surfaces for part in model.bodies.cell_part[group.cells]}
     parts = set().union(*model.comm.allgather(here))
     return 0.5 * float(model.parts.thickness[sorted(parts)].min())
 
 
 def _bodies_of(model: Model, group: Surface) -> set[int]:
+    """Bodies that a surface belongs to on any rank. Collective."""
     here = set(model.bodies.cell_body[group.cells].tolist())
     return set().union(*model.comm.allgather(here))

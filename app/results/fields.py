@@ -6,12 +6,9 @@ from typing import Any
 
 import numpy as np
 import ufl
-from numpy.typing import NDArray
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.rigid_plane import RigidPlane
-from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.evaluation import center_expression
@@ -80,23 +77,13 @@ def contact_points(contact: Interfaces, electric: bool) -> ContactPoints:
         pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
         status = p.law[rows].status(p.gap, p.history[rows])
-        parts = [p.position, p.projection.normal, gap, pressure, status, _pair_numbers(contact, p), jump]
+        parts = [p.position, p.projection.normal, gap, pressure, status, p.numbers_in_results(contact.pairs), jump]
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)
     return ContactPoints(
         _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if electric else None
     )
-
-
-def _pair_numbers(contact: Interfaces, p: SurfacePair | RigidPlane) -> NDArray[np.int64]:
-    """The place of each point's pair among the listed ones, its number where none are listed; then come planes."""
-    pairs = contact.pairs
-    if isinstance(p, RigidPlane):
-        beyond = len(pairs.bodies) ** 2 if pairs.given is None and not pairs.listed else len(pairs.listed)
-        return np.full(len(p.near_points), beyond + contact.planes.index(p))
-    number, _ = p.pair_numbers(pairs)
-    return np.searchsorted(list(pairs.listed), number) if pairs.listed else number
 
 
 def _in_space(vectors: Array) -> Array:

@@ -41,7 +41,8 @@ class Condensation:
         self.block = problem.model.unknowns.block
         self.candidates = np.zeros(0, np.int64)
         motion = problem.model.prescription.largest_motion() or problem.contact.least_search_radius()
-        self._ahead = problem.contact.candidate_distance = AHEAD * motion
+        self._ahead = AHEAD * motion
+        problem.contact.set_candidate_distance(self._ahead)
         self.outgrown = False  # whether contact has spread beyond the candidates since the inside is held
         self._of = -1
         self._factors = SchurFactors()

@@ -111,7 +111,7 @@ class Newton:
         if problem.contact is not None:
             # What nothing holds is thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
-            problem.contact.set_tolerance_and_tangent(0, np.inf, loose=problem.has_weakly_held_bodies)
+            problem.contact.set_tolerance_and_tangent(0, np.inf, unconstrained=problem.has_weakly_held_bodies)
         self._predict(report, closely=problem.is_linear)
         if problem.is_linear:
             self._refine(report)
@@ -323,7 +323,7 @@ class Newton:
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         if self.problem.contact is not None:
             self.problem.contact.set_tolerance_and_tangent(
-                snes.getIterationNumber(), self._report.residuals[-1], loose=self.problem.has_weakly_held_bodies
+                snes.getIterationNumber(), self._report.residuals[-1], unconstrained=self.problem.has_weakly_held_bodies
             )
         self._operators = self.linear.linearize(x)
         if self.linear.condensation is not None:

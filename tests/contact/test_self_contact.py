@@ -13,7 +13,6 @@ from mpi4py import MPI
 
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
-from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import Facets
@@ -175,7 +174,7 @@ def test_a_hairpin_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path: Pat
         assert_equal(run(scene, comm).history, alone)
 
 
-def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Interfaces, Array]:
+def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Interfaces, Array]:
     """A hairpin whose nodes (n, 3) have moved, its contact there, and where that has them."""
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
@@ -185,7 +184,7 @@ def moved(scene: Scene, motion: Callable[[Array], Array]) -> tuple[Model, Interf
     state.array[:] = local.ravel()
     contact.detect(state, 0.5)
     contact.evaluate(state, tangent=False)
-    return model, contact, (x + local[:, :3])[contact.nodes]
+    return contact, (x + local[:, :3])[contact.nodes.number]
 
 
 def closing(x: Array) -> Array:
@@ -201,29 +200,30 @@ def test_points_meet_what_a_search_through_all_facets_finds(
 ) -> None:
     """And that is always on the other leg, across the open space between them."""
     scene = pressed_hairpin(hairpin(tmp_path / "hairpin.csv"), cells, electric_range=0.1, passes=passes)
-    model, contact, position = moved(scene, closing)
+    contact, position = moved(scene, closing)
     (p,) = contact.surface_pairs
     rows, partner = p.projected_points, p.partner
-    here, there = p.self_contact.slave.middle[p.points.facet[rows], 2], p.self_contact.master.middle[partner, 2]
+    surfaces = p.facets.self_contact
+    here, there = surfaces.slave.middle[p.points.facet[rows], 2], surfaces.master.middle[partner, 2]
     assert (here * there < 0.0).all() and (np.abs([here, there]) < RADIUS + 0.5 * LEGS_APART).all()
     kind, own = p.slave.kind, p.points.facet
-    slave, master = p.slave_at(position), p.master_at(position)
+    slave, master = p.facets.slave_at(position), p.facets.master_at(position)
     points = np.einsum("mk,mkd->md", p.points.shape, slave[own])
     normals = point_normals(kind, p.points.xi, slave[own], p.slave.orientation[own])
     some = np.union1d(rng.choice(len(points), 150, replace=False), rows[p.projection.gap < p.law.interaction_range])
     pairs = np.meshgrid(own[some], np.arange(len(master)), indexing="ij")
-    may = p.may_meet(*(index.ravel() for index in pairs)).reshape(pairs[0].shape)
-    masters = Facets(kind, master, p.ghost_facets.orientation, p.ghost_facets.key)
+    may = p.facets.may_meet(*(index.ravel() for index in pairs)).reshape(pairs[0].shape)
+    masters = Facets(kind, master, p.facets.master.orientation, p.facets.master.key)
     found = brute_force_facets(points[some], normals[some], masters, p.depth, may)
     gap = np.full(len(some), np.inf)
     hit = found >= 0
-    gap[hit] = project(kind, points[some][hit], master[found[hit]], p.ghost_facets.orientation[found[hit]]).gap
+    gap[hit] = project(kind, points[some][hit], master[found[hit]], p.facets.master.orientation[found[hit]]).gap
     met = np.full(len(points), -1)
     met[rows] = partner
     near = gap < p.law.interaction_range
     assert near.sum() > 20
     np.testing.assert_array_equal(met[some][near], found[near])
-    assert (p.projection.gap < 0.0).any() and not touching_bodies(model, contact)
+    assert (p.projection.gap < 0.0).any() and not contact.touching_bodies()
 
 
 def test_what_did_not_face_each_other_may_meet_if_it_is_far_along(tmp_path: Path) -> None:
@@ -237,11 +237,11 @@ def test_what_did_not_face_each_other_may_meet_if_it_is_far_along(tmp_path: Path
             1,
         ]
 
-    _, contact, _ = moved(scene, under)
+    contact, _ = moved(scene, under)
     (p,) = contact.surface_pairs
     deep = np.flatnonzero(p.projection.gap < 0.0)
-    here, there = p.points.facet[p.near_points[p.projected[deep]]], p.master_facet[p.projected[deep]]
-    slave, master = p.self_contact.slave, p.self_contact.master
+    here, there = p.points.facet[p.projected_points[deep]], p.partner[deep]
+    slave, master = p.facets.self_contact.slave, p.facets.self_contact.master
     end = slave.middle[here, 0] < -0.5 * LEG
     assert end.sum() > 10
     away = master.middle[there] - slave.middle[here]
@@ -318,6 +318,6 @@ def test_nothing_of_straight_fibers_is_tried_against_themselves(cells: str, orde
     state.set(0.0)
     contact.detect(state, 1.0)
     (p,) = contact.surface_pairs
-    own = [c for c in p.self_candidates if c is not None]
-    assert len(own) == len(scene.body_names) < len(p.self_candidates)
+    own = [c for c in p.closest.self_candidates if c is not None]
+    assert len(own) == len(scene.body_names) < len(p.closest.self_candidates)
     assert all(len(c.facet) == 0 for c in own)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact import search as partners
+from piezomat.contact import closest_points
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.facets import Facets
@@ -101,7 +101,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
     body = p.rule.body(p.slave.component)
     met = np.full(len(points), -1)
-    met[p.projected_points] = p.ghost_facets.key[p.partner]
+    met[p.projected_points] = p.facets.master.key[p.partner]
     chosen = rng.choice(len(points), 250, replace=False)
     chosen = np.union1d(chosen, rng.choice(p.projected_points, 100, replace=False))
     least, partner = np.full(len(points), np.inf), np.full(len(points), -1)
@@ -131,7 +131,7 @@ def test_what_comes_near_is_found_without_a_search_of_all(
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     contact, anew = interfaces_of(model), interfaces_of(model)
     looked = []
-    monkeypatch.setattr(partners, "closest_facets", lambda *a: (looked.append(len(a[0])), closest_facets(*a))[1])
+    monkeypatch.setattr(closest_points, "closest_facets", lambda *a: (looked.append(len(a[0])), closest_facets(*a))[1])
     state = model.coordinate_vector()
     motion, margin = np.zeros((len(model.parts.size), model.unknowns.block)), 1.2
     work, acting, new = np.zeros(2, int), [], 0
@@ -218,4 +218,4 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
         p.rule.body(p.slave.component[p.points.facet[p.projected_points]]),
         p.rule.body(p.partner_component()),
     )
-    assert len(p.projected) > 20 and (slave < master).all() and p.share == 1.0
+    assert len(p.partner) > 20 and (slave < master).all() and p.share == 1.0

@@ -6,7 +6,6 @@ from mpi4py import MPI
 
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
-from piezomat.contact.untouched_bodies import touching_bodies
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact import load_balance as sharing
@@ -59,7 +58,7 @@ def test_every_rank_evaluates_its_share_of_the_points_that_are_near(pairs: objec
     keys = np.concatenate(comm.allgather(p.slave.key))
     assert np.array_equal(np.sort(keys), np.sort(alone.slave.key))
     state = model.coordinate_vector()
-    nodes = contact.gather(state)[p.slave_nodes][..., : model.dim]
+    nodes = contact.nodes.gather(state)[p.slave_nodes][..., : model.dim]
     assert np.abs(nodes - p.slave.reference).max(initial=0.0) < 1e-14
 
 
@@ -76,4 +75,4 @@ def test_bodies_touch_wherever_their_points_are_evaluated(comm: MPI.Comm) -> Non
     """Also the master, of which the rank that evaluates the points may hold no cell."""
     scene = pressed(2, contact={"pairs": [["upper_contact", "lower_contact"]], "passes": 1})
     result = run(scene, comm, partition=a_body_a_rank)
-    assert touching_bodies(result.model, result.problem.contact) == {0, 1}
+    assert result.problem.contact.touching_bodies() == {0, 1}

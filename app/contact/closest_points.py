@@ -1,0 +1,179 @@
+"""Closest points: the master facet of each slave point, kept from one evaluation to the next (local search)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezomat.contact.detected_facets import DetectedFacets
+from piezomat.forms.arrays import Array, Booleans, Integers
+from piezomat.forms.contact.facets import Facets
+from piezomat.forms.contact.gap import Projection, point_normals, project
+from piezomat.forms.contact.integrals import SlavePoints
+from piezomat.meshes.contact.global_search import CandidatePairs
+from piezomat.meshes.contact.local_search import closest_facets, near_points
+from piezomat.meshes.contact.self_contact import Candidates
+
+# A point keeps its master facet until its projection has left it by a share of the facet, the projection tolerance.
+# It grows with the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
+PROJECTION_TOLERANCES = ((0, 0.02), (5, 0.1), (10, 0.5))
+FINAL_PROJECTION_TOLERANCE = 0.1  # at the end of a solve
+
+
+@dataclass(frozen=True)
+class SearchLimits:
+    """How long points keep their master facets and how far new ones are searched for; lengths in um.
+
+    projection_tolerance: share of a facet by which a projection may leave it
+    everywhere: whether points without a closest point are searched for too
+    detection_range: a facet may come as near as this before all points are searched for again
+    candidate_range: largest gap of a closest point
+    interaction_range: largest gap with a traction or a charge
+    depth: penetration up to which a closest point is accepted, also where bodies are thinner
+    approach: how much nearer to each other two points may have come since the last search everywhere
+    """
+
+    projection_tolerance: float
+    everywhere: bool
+    detection_range: float
+    candidate_range: float
+    interaction_range: float
+    depth: float
+    approach: float
+
+
+class ClosestPoints:
+    """The near points (p,) of a surface pair after a detection, and their closest points. No method is collective.
+
+    Invariant: all that a point may meet, other than its master facet's component, is further from it than
+    `distance_bound - motion`.
+
+    near (p,): the near points, numbered as in `points`
+    candidates: for each component of master facets, its facets and the near points that may meet it
+    self_candidates: for each of these, the facets that points of the same part may meet, or None for other parts
+    facet (p,): master facet, -1 without a closest point
+    xi (p, t): the closest point's coordinates in its facet
+    overshoot (p,): share of the facet by which the projection was outside it when found, for points without contact
+    distance_bound (p,): at the last search, um
+    motion (p,): how much nearer things may have come by the last search everywhere, um; it grows from search to search
+    """
+
+    def __init__(
+        self,
+        facets: DetectedFacets,
+        points: SlavePoints,
+        covered: Booleans,
+        depth: tuple[float, float],
+        position: Array,
+        radius: float,
+    ) -> None:
+        """Find the near points.
+
+        covered (m,): points that can meet something; depth: penetrations (um) up to which closest points are accepted,
+        of another part and of the same part; position (n, d): of the seen nodes; radius: search radius, um.
+        """
+        self.facets, self.points = facets, points
+        self._depth, self._self_depth = depth
+        here = np.einsum("mk,mkd->md", points.shape, facets.slave_at(position, points.facet))
+        masters = facets.master_at(position)
+        component, rule = facets.slave.component[points.facet], facets.rule
+        boxed = CandidatePairs.near(here, component, masters, facets.master.component, radius, rule)
+        near: list[Integers] = []
+        self.self_candidates: list[Candidates | None] = []
+        for rows, targets, same_part in zip(boxed.points, boxed.facets, boxed.same_part, strict=True):
+            rows = rows[covered[rows]]
+            slaves = points.facet[rows]
+            own = facets.self_candidates(position, np.unique(slaves), targets, radius) if same_part else None
+            close = near_points(here[rows], masters[targets], radius) if own is None else own.count(slaves) > 0
+            near.append(rows[close])
+            self.self_candidates.append(own)
+        self.near = np.unique(np.concatenate([np.zeros(0, np.int64), *near]))
+        places = [np.searchsorted(self.near, rows) for rows in near]
+        self.candidates = CandidatePairs(boxed.component, boxed.same_part, boxed.facets, places)
+        count = len(self.near)
+        self.facet = np.full(count, -1)
+        self.xi = np.zeros((count, facets.kind.dim))
+        self.overshoot = np.zeros(count)
+        self.distance_bound, self.motion = np.zeros((2, count))
+
+    def add_motion(self, motions: Array) -> None:
+        """Bodies have moved by these distances (bodies,), um, since the last search everywhere."""
+        rule, slave = self.facets.rule, self.facets.slave
+        others = np.zeros(len(self.near))
+        for near, component in zip(self.candidates.points, self.candidates.component, strict=True):
+            others[near] = np.maximum(others[near], motions[rule.body(component)])
+        self.motion += motions[rule.body(slave.component[self.points.facet[self.near]])] + others
+
+    def update(self, position: Array, limits: SearchLimits) -> tuple[Integers, Array, Projection]:
+        """Keep master facets as long as points project onto them, search for the others', and project all points.
+
+        position (n, d): of the seen nodes. The projected ones among the near points (r,), their positions (r, d), and
+        their projections (r,).
+        """
+        facets, kind = self.facets, self.facets.kind
+        own = self.points.facet[self.near]
+        points = np.einsum("mk,mkd->md", self.points.shape[self.near], facets.slave_at(position, own))
+        bound = np.full(len(self.near), limits.detection_range)  # what comes nearer than this is to be seen
+        have = np.flatnonzero(self.facet >= 0)
+        left = np.zeros(0, np.int64)
+        if len(have):
+            projection = self._project(position, points[have], have)
+            self.xi[have] = projection.xi
+            # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
+            outside = np.minimum(self.overshoot[have] + PROJECTION_TOLERANCES[0][1], FINAL_PROJECTION_TOLERANCE)
+            left = have[kind.overshoot(projection.xi) > np.maximum(limits.projection_tolerance, outside)]
+            # Something else may have come nearer than a closest point without contact.
+            apart = projection.gap > limits.interaction_range
+            bound[have] = np.where(apart, np.minimum(projection.gap, limits.detection_range), -np.inf)
+        lost = ~(self.distance_bound > self.motion + bound) & limits.everywhere  # true for what is not a number
+        lost[left] = True
+        if lost.any():
+            self._search(points, position, lost, limits)
+        projected = np.flatnonzero(self.facet >= 0)
+        points = points[projected]
+        projection = self._project(position, points, projected)
+        self.xi[projected] = projection.xi
+        return projected, points, projection
+
+    def _project(self, position: Array, points: Array, some: Integers) -> Projection:
+        """Projections of some near points, at `points` (r, d), onto their master facets, from where they were."""
+        facet = self.facet[some]
+        nodes, orientation = self.facets.master_at(position, facet), self.facets.master.orientation[facet]
+        return project(self.facets.kind, points, nodes, orientation, self.xi[some])
+
+    def _search(self, points: Array, position: Array, lost: Booleans, limits: SearchLimits) -> None:
+        """Find new master facets for the `lost` ones of the near points."""
+        facets, kind = self.facets, self.facets.kind
+        own = self.points.facet[self.near[lost]]
+        normals = np.zeros_like(points)
+        slave_nodes, xi = facets.slave_at(position, own), self.points.xi[self.near[lost]]
+        normals[lost] = point_normals(kind, xi, slave_nodes, facets.slave.orientation[own])
+        self.facet[lost], self.distance_bound[lost] = -1, -np.inf
+        least = np.full(len(self.near), np.inf)  # gap of the closest point
+        away = np.full(len(self.near), np.inf)  # least distance of its component, plus motion
+        clear = np.full(len(self.near), np.inf)  # and of all others
+        candidates = zip(self.candidates.points, self.candidates.facets, self.self_candidates, strict=True)
+        for near, targets, same_part in candidates:
+            tried = near[lost[near]]
+            if not len(tried):
+                continue
+            nodes, orientation = facets.master_at(position, targets), facets.master.orientation[targets]
+            pairs, depth = None, max(self._depth, limits.depth)
+            if same_part is not None:
+                depth = max(self._self_depth, limits.depth)
+                pairs = same_part.of_points(self.points.facet[self.near[tried]])
+            masters = Facets(kind, nodes, orientation, facets.master.key[targets])
+            reach = max(limits.candidate_range, depth)
+            found, xi, off = closest_facets(points[tried], normals[tried], masters, reach, depth, pairs)
+            off += self.motion[tried] - limits.approach
+            met = np.flatnonzero(found >= 0)
+            gap = np.full(len(tried), np.inf)
+            gap[met] = project(kind, points[tried[met]], nodes[found[met]], orientation[found[met]], xi[met]).gap
+            # Of several bodies a point meets the one that it is deepest in, or nearest to.
+            nearer = (gap < least[tried]) & (gap <= limits.candidate_range)
+            clear[tried] = np.minimum(clear[tried], np.where(nearer, away[tried], off))
+            tried, found, xi, gap = tried[nearer], found[nearer], xi[nearer], gap[nearer]
+            least[tried], away[tried], self.facet[tried], self.xi[tried] = gap, off[nearer], targets[found], xi
+            self.overshoot[tried] = np.where(gap > limits.interaction_range, kind.overshoot(xi), 0.0)
+        self.distance_bound[lost] = clear[lost]
