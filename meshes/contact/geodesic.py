@@ -1,4 +1,4 @@
-"""How far along their connected part nodes are: the shortest way through its cells from one of its ends."""
+"""Geodesic distance of nodes along their connected part: the shortest path through its cells from one of its ends."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from piezomat.meshes.ghost_scatter import GhostScatter
 
 
 def geodesic_distance(space: Any, node_part: Integers, parts: int) -> Array:
-    """How far (um) the local nodes of a space are from one end of their connected part, along edges. Collective.
+    """Geodesic distance (n,), um, of the local nodes of a space from one end of their connected part. Collective.
 
-    The way leads through the part, along the edges and diagonals of its cells; inf where a node is no corner of a
-    cell. The end is the node furthest from where coordinates are least, which is an end of a fiber. node_part (n,):
-    the part of each local node.
+    The path follows edges and diagonals of cells; the distance of a node that is no corner of a cell is inf. The end is
+    the node furthest from the one with the least coordinates, which is an end of a fiber.
+
+    node_part (n,): connected part of each local node; parts: their number
     """
     x, cells = node_coordinates(space), fenicsx.dofmap(space)[:, : fenicsx.corners_per_cell(space.mesh)]
     corner = np.isin(np.arange(len(x)), cells)
@@ -39,7 +40,7 @@ def geodesic_distance(space: Any, node_part: Integers, parts: int) -> Array:
 
 
 def _ways(x: Array, cells: NDArray[np.int32]) -> scipy.sparse.csr_matrix:
-    """Distances (n, n) between every two nodes of a cell."""
+    """Lengths (n, n) of the edges and diagonals of cells."""
     pairs = [np.sort(cells[:, list(pair)], axis=1) for pair in combinations(range(cells.shape[1]), 2)]
     first, last = np.unique(np.concatenate(pairs), axis=0).T
     length = np.linalg.norm(x[first] - x[last], axis=1)
@@ -50,16 +51,16 @@ def _ways(x: Array, cells: NDArray[np.int32]) -> scipy.sparse.csr_matrix:
 def _distances(
     comm: MPI.Comm, ways: scipy.sparse.csr_matrix, root: NDArray[np.bool_], least: Callable[[Array], Array]
 ) -> Array:
-    """Length (n,) of the shortest way to a root. Collective.
+    """Length (n,) of the shortest path to a root. Collective.
 
-    Each rank goes on from what the others have found, until none finds a shorter way.
+    Each rank continues from the distances that others have found, until no rank finds a shorter path.
     """
     count = len(root)
     distance = np.where(root, 0.0, np.inf)
     shorter = True
     while shorter:
         known = least(distance)
-        # A node before all others, as far from each as that is known to be.
+        # An additional node, connected to each node by an edge as long as the known distance.
         start = np.flatnonzero(np.isfinite(known))
         row = scipy.sparse.csr_matrix((known[start], start, [0, len(start)]), shape=(1, count))
         graph = scipy.sparse.bmat([[None, row], [scipy.sparse.csr_matrix((count, 1)), ways]], format="csr")
@@ -69,7 +70,7 @@ def _distances(
 
 
 def _is_first(comm: MPI.Comm, keys: Array, part: Integers, parts: int) -> NDArray[np.bool_]:
-    """Whether a node's keys (n, k), in their order, are the least of its part on any rank. Collective."""
+    """Whether the keys (n, k) of a node are lexicographically the least of its part on any rank. Collective."""
     least = np.full((parts, keys.shape[1]), np.inf)
     order = np.lexsort((*keys.T[::-1], part))
     here, first = np.unique(part[order], return_index=True)
@@ -82,7 +83,7 @@ def _is_first(comm: MPI.Comm, keys: Array, part: Integers, parts: int) -> NDArra
 
 
 def _least_over_ranks(space: Any) -> Callable[[Array], Array]:
-    """What gives the least that any rank has at the local nodes of a space; its calls are collective."""
+    """Function of values (n,) at the local nodes of a space: the least of any rank. Its calls are collective."""
     index_map = space.dofmap.index_map
     nodes = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
     numbers = global_numbers(space, nodes).astype(PETSc.IntType)

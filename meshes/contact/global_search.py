@@ -1,9 +1,9 @@
-"""Surfaces of many bodies: which facets a rank must see, and which bodies' facets each point must be tried against.
+"""Global search: the master facets that a rank needs, and the candidate pairs of points and facets.
 
-A component is a connected piece of one body. Points never meet facets of their own body, or of their own connected
-part, unless self-contact is asked for: `SelfContact` then says which facets of one part may meet. Everything goes by
-boxes around small clusters of neighbouring facets of one component, so that the work is proportional to the surface and
-not to the number of pairs of bodies.
+A component is a connected part of one body. Points never meet facets of their own body or of their own connected part,
+except in self-contact, where `SelfContact` decides which facets of one part may meet. The search works with boxes
+around small clusters of neighbouring facets of one component, so that its cost is proportional to the surface and not
+to the number of pairs of bodies.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from scipy.spatial import cKDTree
 
 from piezomat.forms.arrays import Array, Integers
 
-SEARCH_CLUSTER = 64  # facets, or points, in a box of the coarse search
+SEARCH_CLUSTER = 64  # largest number of facets or points in a box
 
 
 @dataclass(frozen=True)
 class PairingRule:
-    """Which components may meet. A component's number is body * parts + part.
+    """Which components may meet. The number of a component is body * parts + part.
 
-    `ordered`: slaves of the lower body alone; `self_contact`: with self-contact.
+    parts: number of connected parts; ordered: only slaves of the body with the lower number meet masters of the other;
+    self_contact: whether facets of one part may meet.
     """
 
     parts: int = 1
@@ -32,15 +33,15 @@ class PairingRule:
     self_contact: bool = False
 
     def component(self, body: NDArray, part: NDArray) -> Integers:
-        """Numbers of components."""
+        """Numbers (n,) of the components of bodies (n,) and parts (n,)."""
         return np.asarray(body, np.int64) * self.parts + part
 
     def body(self, component: Integers) -> Integers:
-        """The body of each component."""
+        """Body of each component."""
         return component // self.parts
 
     def allows(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
-        """Whether points of the slave components may meet facets of the master components."""
+        """Whether points of slave components may meet facets of master components."""
         may = np.full(np.broadcast(slave, master).shape, self.self_contact)
         may |= (self.body(slave) != self.body(master)) & ~self.same_part(slave, master)
         return may & (slave <= master) if self.ordered else may
@@ -50,16 +51,17 @@ class PairingRule:
         return slave % self.parts == master % self.parts
 
 
-# One surface against another, whatever bodies they belong to: they stand for part 0 of body 0 and part 1 of body 1.
+# Rule for two named surfaces: every slave facet may meet every master facet. They are encoded as part 0 of a fictitious
+# body 0 and part 1 of a fictitious body 1, so as components 0 and 3.
 ONE_TO_ONE = PairingRule(parts=2)
 SLAVE, MASTER = 0, 3
 
 
 @dataclass(frozen=True)
 class GhostFacets:
-    """Master facets that a rank can see, from every rank.
+    """Master facets of all ranks that this rank needs.
 
-    nodes (f, n) global, orientation (f,), key (f,), component (f,), rounding (f, k, d) as of `Surface`.
+    nodes (f, n): global node numbers; component (f,); orientation (f,), key (f,), rounding (f, k, d) as of `Surface`.
     """
 
     nodes: Integers
@@ -77,7 +79,7 @@ class GhostFacets:
 
 @dataclass(frozen=True)
 class Clusters:
-    """Groups of neighbours of one component: boxes (b, 2, d), component (b,), and the members of each."""
+    """Groups of neighbours of one component: boxes (b, 2, d) with corners low and high, component (b,), members."""
 
     boxes: Array
     component: Integers
@@ -85,7 +87,7 @@ class Clusters:
 
     @classmethod
     def of(cls, low: Array, high: Array, component: Integers, size: int = SEARCH_CLUSTER) -> Clusters:
-        """Clusters of at most `size` things with extents low, high (n, d)."""
+        """Clusters of at most `size` items with least and largest coordinates low, high (n, d)."""
         middle = 0.5 * (low + high)
         order = np.argsort(component, kind="stable")
         groups = np.split(order, np.flatnonzero(np.diff(component[order])) + 1) if len(order) else []
@@ -104,12 +106,12 @@ class Clusters:
 
 
 def overlapping(first: Array, second: Array, margin: float) -> tuple[Integers, Integers]:
-    """Pairs of boxes (a, 2, d) and (b, 2, d) that come within `margin` of each other along every axis."""
+    """Pairs of boxes (a, 2, d) and (b, 2, d) that are within `margin` of each other along every axis."""
     if not len(first) or not len(second):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     pairs = []
     half = [0.5 * np.ptp(boxes, axis=1).max(axis=1) for boxes in (first, second)]
-    # Boxes are tried by size, so that a few long ones do not make the search wide for all.
+    # Boxes are searched in classes of size, so that a few long ones do not widen the search for all.
     classes = [np.ceil(np.log2(np.maximum(h / max(h.max(), 1e-300), 2.0**-30))).astype(int) for h in half]
     for i in np.unique(classes[0]):
         a = np.flatnonzero(classes[0] == i)
@@ -134,11 +136,15 @@ def share_facets(
     margin: float,
     rule: PairingRule,
 ) -> GhostFacets:
-    """Master facets of all ranks that come within `margin` of slave facets of this rank that may meet them. Collective.
+    """Master facets of all ranks that are within `margin` of slave facets of this rank and may meet them. Collective.
 
-    slave_positions (f, n, d) and master_positions (f, n, d): current nodes of this rank's own facets; `master` are
-    this rank's own. Facets are sent where they are near a box of slave facets, so a rank sees little more than its
-    own neighbourhood.
+    Facets are sent to ranks with a box of slave facets near them, so that a rank receives little more than its
+    neighbourhood.
+
+    slave_positions (f, n, d), master_positions (f, n, d): current nodes of the facets that this rank holds, um
+    slave_component (f,): components of the slave facets
+    master: the master facets that this rank holds
+    margin: um
     """
     slaves = Clusters.of(slave_positions.min(axis=1), slave_positions.max(axis=1), slave_component)
     low, high = master_positions.min(axis=1), master_positions.max(axis=1)
@@ -160,9 +166,11 @@ def share_facets(
 
 @dataclass(frozen=True)
 class CandidatePairs:
-    """What points are near: for each component of facets its number, its facets, and the points that may meet it.
+    """Points near each component of master facets that may meet it.
 
-    Points that are of the same connected part, `same_part`, come by themselves.
+    For each item: component, the number of the master component; same_part, whether the points belong to the same
+    connected part; facets, the facets of the component; points, the points. A component has one item for points of its
+    part and one for others.
     """
 
     component: Integers
@@ -180,7 +188,7 @@ class CandidatePairs:
         margin: float,
         rule: PairingRule,
     ) -> CandidatePairs:
-        """Of points (m, d) and facets (f, n, d), all whose boxes come within `margin` of each other."""
+        """Points (m, d) and facets (f, n, d) whose boxes are within `margin`, where the rule allows it."""
         mine = Clusters.of(points, points, point_component)
         theirs = Clusters.of(facets.min(axis=1), facets.max(axis=1), facet_component)
         a, b = overlapping(mine.boxes, theirs.boxes, margin)

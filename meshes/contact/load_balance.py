@@ -1,4 +1,4 @@
-"""Slave facets shared out over the ranks: contact is work where surfaces are near each other, wherever cells are."""
+"""Load balance: slave facets redistributed so that every rank has as much contact, wherever their cells are."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from piezomat.meshes.contact.global_search import Clusters, GhostFacets, Pairing
 from piezomat.meshes.contact.surface import Surface, global_numbers
 from piezomat.meshes.parallel import redistributed
 
-BALANCE_CLUSTER = 8  # neighbouring facets of a component that stay together
-ALONE = 0.01  # what a facet that no other body is near costs, over one in contact
-UNEVEN = 1.2  # most work of a rank over the mean: what is more even stays where its cells are
+BALANCE_CLUSTER = 8  # largest number of neighbouring facets of a component that are moved together
+ALONE = 0.01  # cost of a facet without another body near it, over one in contact
+UNEVEN = 1.2  # largest work of a rank over the mean up to which facets stay with their cells
 
 
 @dataclass(frozen=True)
 class SlaveFacets:
-    """Facets of a slave surface whose points this rank evaluates; every facet is with exactly one rank.
+    """Facets of a slave surface whose points this rank evaluates; every facet is on exactly one rank.
 
-    nodes (f, n): global node numbers; component (f,) and body (f,) that they belong to; all else as of `Surface`.
+    nodes (f, n): global node numbers; component (f,), body (f,): their numbers; other attributes as of `Surface`.
     """
 
     kind: FacetKind
@@ -38,7 +38,7 @@ class SlaveFacets:
 
     @classmethod
     def of(cls, space: Any, surface: Surface, component: Integers, body: Integers) -> SlaveFacets:
-        """The facets of a surface, with the ranks that hold their cells."""
+        """Facets of a surface, on the ranks that hold their cells."""
         nodes, s = global_numbers(space, surface.nodes), surface
         return cls(s.kind, nodes, s.reference, s.orientation, s.key, s.rounding, component, np.asarray(body, np.int64))
 
@@ -46,7 +46,7 @@ class SlaveFacets:
         return len(self.nodes)
 
     def redistributed(self, comm: MPI.Comm, rank: NDArray[np.int32]) -> SlaveFacets:
-        """The facets that come to this rank when every facet goes to its `rank` (f,). Collective."""
+        """Facets that this rank receives when every facet goes to its `rank` (f,). Collective."""
         names = [field.name for field in fields(self) if field.name != "kind"]
         return replace(self, **{name: redistributed(comm, getattr(self, name), rank) for name in names})
 
@@ -54,10 +54,10 @@ class SlaveFacets:
 def balanced_ranks(
     comm: MPI.Comm, slave: SlaveFacets, master: GhostFacets, master_reference: Array, margin: float, rule: PairingRule
 ) -> NDArray[np.int32]:
-    """The rank (f,) where each slave facet should go for all ranks to have as many that another body is near.
+    """Rank (f,) for each slave facet such that all ranks have equally many facets near another body. Collective.
 
-    master, master_reference (f, n, d): this rank's own master facets and their nodes. Near is within `margin` (um, not
-    zero) in the undeformed state. Collective.
+    master, master_reference (f, n, d): master facets that this rank holds, and their undeformed nodes, um
+    margin: distance in the undeformed state up to which facets are near, um, positive
     """
     rank = np.full(len(slave), comm.rank, np.int32)
     if comm.size == 1:
@@ -70,11 +70,11 @@ def balanced_ranks(
         np.concatenate(parts) for parts in zip(*comm.allgather((masters.boxes, masters.component)), strict=True)
     )
     i, j = overlapping(clusters.boxes, boxes, margin)
-    # What meets its own part is near itself everywhere.
+    # Facets in self-contact are near their own part everywhere.
     meets = rule.allows(clusters.component[i], component[j]) & ~rule.same_part(clusters.component[i], component[j])
     i, j = i[meets], j[meets]
     apart = np.maximum(boxes[j, 0] - clusters.boxes[i, 1], clusters.boxes[i, 0] - boxes[j, 1]).max(axis=1, initial=0.0)
-    # What is nearer has contact for more of the motion.
+    # Nearer facets are in contact for more of the motion.
     share = np.full(len(clusters.members), ALONE)
     np.maximum.at(share, i, 1.0 - apart / margin)
     work = share * np.array([len(members) for members in clusters.members])
@@ -83,17 +83,17 @@ def balanced_ranks(
     if shares.max() <= UNEVEN * shares.mean():
         return rank
     places = np.concatenate(comm.allgather(clusters.boxes.mean(axis=1)))
-    dealt = bisected(places, np.concatenate(works), comm.size)
-    for members, there in zip(clusters.members, dealt[sum(map(len, works[: comm.rank])) :], strict=False):
+    groups = bisected(places, np.concatenate(works), comm.size)
+    for members, there in zip(clusters.members, groups[sum(map(len, works[: comm.rank])) :], strict=False):
         rank[members] = there
     return rank
 
 
 def bisected(places: Array, work: Array, count: int) -> NDArray[np.int32]:
-    """Which of `count` groups of equal work each of some places (n, d) belongs to, neighbours to the same if possible.
+    """Group (n,) of each place (n, d), out of `count` groups of equal `work` (n,), neighbours in the same if possible.
 
-    Recursive bisection across the longer side of where the work is (Berger and Bokhari, IEEE Trans. Computers C-36
-    (1987) 570-580).
+    Recursive bisection across the longer side of the work's distribution (Berger and Bokhari, IEEE Trans. Computers
+    C-36 (1987) 570-580).
     """
     group = np.zeros(len(places), np.int32)
     parts = [(np.arange(len(places)), 0, count)]

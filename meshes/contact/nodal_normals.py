@@ -15,11 +15,11 @@ from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.smoothing import curved_kind, rounded, rounding
 from piezomat.meshes.contact.surface import Surface, global_numbers
 
-SHARP = 0.64  # cosine, of 50 degrees: facets that meet at a sharper edge keep it
+SHARP = 0.64  # cosine of 50 degrees: sharper edges are not smoothed
 
 
 def smoothed(space: Any, group: Surface) -> Surface:
-    """A surface of order 1, of the mesh of `space`, as one of curved facets on the same nodes. Collective."""
+    """Surface of curved facets on the nodes of a surface of order 1 of the mesh of `space`. Collective."""
     numbers = global_numbers(space, group.nodes)
     corner = corner_normals(group.kind, group.reference, group.orientation)
     normals, alone = nodal_normals(space.mesh.comm, numbers, group.key, corner)
@@ -29,9 +29,9 @@ def smoothed(space: Any, group: Surface) -> Surface:
 
 
 def corner_normals(kind: FacetKind, nodes: Array, orientation: Array) -> Array:
-    """Outward normals (f, n, d) at the corners of facets, as long as they count in the mean at a node.
+    """Outward normals (f, n, d) at the corners of facets; their lengths are their weights in the mean at a node.
 
-    With these lengths the mean is the normal of the circle or sphere through the nodes, if there is one (Max, J.
+    With these weights the mean is the normal of the circle or sphere through the nodes, if there is one (Max, J.
     Graphics Tools 4 (1999) 1-6).
     """
     ring = [0, 1] if kind.dim == 1 else [0, 1, 2] if kind.simplex else [0, 1, 3, 2]
@@ -48,14 +48,16 @@ def corner_normals(kind: FacetKind, nodes: Array, orientation: Array) -> Array:
 
 
 def nodal_normals(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Unit normals (f, n, d) at the corners of facets: means over the facets that meet there without a sharp edge.
+    """Unit normals (f, n, d) at the corners of facets, and whether only one facet contributes (f, n). Collective.
 
-    And where a facet is alone (f, n). numbers (f, n): global nodes; key (f,): of the facets; corner (f, n, d): normals
-    of the facets themselves with their weights. Facets of all ranks count, in the same order on all. Collective.
+    A normal is the mean over the facets of all ranks that meet at the node without a sharp edge, in the same order on
+    all ranks.
+
+    numbers (f, n): global nodes; key (f,): of the facets; corner (f, n, d): their normals, see `corner_normals`
     """
     node = numbers.ravel()
     mine = (node, np.repeat(key, numbers.shape[1]), corner.reshape(len(node), corner.shape[2]))
-    # What is at a node meets on a rank that its number names, and goes back to all that have the node.
+    # Data at a node are collected on the rank given by its number and returned to all ranks that have the node.
     at = node % comm.size
     received = comm.alltoall([tuple(part[at == rank] for part in mine) for rank in range(comm.size)])
     every = [np.concatenate(parts) for parts in zip(*received, strict=True)]

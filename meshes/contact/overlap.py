@@ -1,4 +1,4 @@
-"""How deep bodies lie in each other."""
+"""Overlap of bodies."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import project
 
-NEIGHBOURS = 12
+NEIGHBOURS = 12  # facets with the nearest centres that are tried
 
 
 def deepest_overlap(kind: FacetKind, points: Array, facets: Array, orientation: Array) -> float:
-    """Largest depth (um) of points (m, d) inside the body whose surface has the facets (f, n, d); 0 for none.
+    """Largest depth (um) of points (m, d) inside the body with the surface facets (f, n, d); 0 if none is inside.
 
-    A point is inside if the nearest facet, whatever it faces, has it behind itself and right under itself.
+    A point is inside if its projection on the nearest facet lies on the facet and its gap is negative.
     """
     if not len(points) or not len(facets):
         return 0.0

@@ -1,9 +1,9 @@
 """Self-contact: which facets of its own connected part a point may meet.
 
-Its own neighbourhood on the surface and the far side of its own fiber are near a point wherever it is, and in the
-deformed state neither distances nor normals tell them from what has come to lie against it. The undeformed state does:
-there the two face each other across open space, as the legs of a hairpin, or else they are far from each other along
-the part, as what a fiber that is bent over itself meets.
+Neighbouring facets and the far side of the same fiber are always near a point. In the deformed state neither distances
+nor normals distinguish them from a surface that has come into contact; in the undeformed state they do. Two facets may
+meet if they face each other there across open space, as the legs of a hairpin, or if their geodesic distance is large,
+as in a fiber that bends back on itself.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.contact.local_search import FACING
 
-# Thicknesses along a part that are its own neighbourhood. The way through a fiber to its far side is shorter, although
-# it follows edges of cells; that along a fiber bent until it touches itself is longer unless its bend is narrower than
-# two diameters.
+# Geodesic distance, in thicknesses, up to which facets are neighbours. The path through a fiber to its far side is
+# shorter, although it follows edges of cells. The path along a fiber that bends until it touches itself is longer,
+# unless its bend is narrower than two diameters.
 NEIGHBOURHOOD = 3.0
 
 
@@ -28,7 +28,8 @@ NEIGHBOURHOOD = 3.0
 class ReferenceFacets:
     """Facets in the undeformed state.
 
-    middle, normal (f, d); geodesic (f,): distance over the neighbourhood; nodes (f, n): numbers; key (f,).
+    middle, normal (f, d); geodesic (f,): geodesic distance over `NEIGHBOURHOOD` thicknesses; nodes (f, n): numbers;
+    key (f,).
     """
 
     middle: Array
@@ -41,16 +42,16 @@ class ReferenceFacets:
     def of(
         cls, kind: FacetKind, facets: Array, orientation: Array, geodesic: Array, nodes: Integers, key: Integers
     ) -> ReferenceFacets:
-        """Of facets (f, n, d), with the `geodesic_distance` (f, n) of their nodes over the neighbourhood."""
+        """From facets (f, n, d) and the `geodesic_distance` (f, n) of their nodes, over the neighbourhood's."""
         xi = np.tile(kind.middle, (len(facets), 1))
         middle = np.einsum("mk,mkd->md", kind.shape(xi), facets)
-        # What lies between corners has no distance.
+        # Nodes between corners have no distance.
         return cls(middle, point_normals(kind, xi, facets, orientation), geodesic.min(axis=1), nodes, key)
 
 
 @dataclass(frozen=True)
 class SelfContact:
-    """Slave and master facets of the same parts."""
+    """Which slave and master facets of one part may meet, from their undeformed state."""
 
     slave: ReferenceFacets
     master: ReferenceFacets
@@ -65,26 +66,26 @@ class SelfContact:
         faces = np.einsum("md,md->m", ours, theirs) < FACING
         faces &= (np.einsum("md,md->m", away, ours) > 0.0) & (np.einsum("md,md->m", away, theirs) < 0.0)
         across = np.flatnonzero(faces)
-        joined = (self.slave.nodes[i[across]][:, :, None] == self.master.nodes[j[across]][:, None]).any(axis=(1, 2))
-        far[near[across[~joined]]] = True
+        adjacent = (self.slave.nodes[i[across]][:, :, None] == self.master.nodes[j[across]][:, None]).any(axis=(1, 2))
+        far[near[across[~adjacent]]] = True
         return far
 
     def precedes(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
-        """Whether slave facets i come before master facets j along the part, (k,) each."""
+        """Whether slave facets i are nearer to the end of their part than master facets j, (k,) each."""
         ours, theirs = self.slave.geodesic[i], self.master.geodesic[j]
         return (ours < theirs) | ((ours == theirs) & (self.slave.key[i] < self.master.key[j]))
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """The facets that points of each slave facet may meet: of slave facet f, facet[start[f] : start[f + 1]]."""
+    """Facets that points of each slave facet may meet: of slave facet f, facet[start[f] : start[f + 1]]."""
 
     start: Integers
     facet: Integers
 
     @classmethod
     def of(cls, slave: Integers, facet: Integers, slaves: int) -> Candidates:
-        """Those of pairs (slave facet, facet)."""
+        """From pairs (slave facet, facet), (k,) each."""
         order = np.argsort(slave, kind="stable")
         start = np.concatenate([[0], np.cumsum(np.bincount(slave, minlength=slaves))])
         return cls(start, facet[order])
@@ -97,5 +98,5 @@ class Candidates:
         return row, self.facet[self.start[slave][row] + np.arange(len(row)) - before[row]]
 
     def count(self, slave: Integers) -> Integers:
-        """How many facets points on these slave facets (m,) may meet."""
+        """Number (m,) of facets that points on these slave facets (m,) may meet."""
         return self.start[slave + 1] - self.start[slave]

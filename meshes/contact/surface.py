@@ -1,4 +1,4 @@
-"""Contact surfaces: the boundary facets of a body or a facet group, as this rank holds them."""
+"""Contact surfaces: the boundary facets of a body or of a facet group that this rank holds."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from piezomat.meshes.mesh_entities import exterior_facets
 
 @dataclass(frozen=True)
 class Surface:
-    """Boundary facets of this rank; every boundary facet of the mesh is held by exactly one rank.
+    """Boundary facets of this rank; every boundary facet of the mesh is on exactly one rank.
 
-    nodes (f, n): local node (block) numbers of the function space. reference (f, n, d): coordinates in the
-    undeformed state. orientation (f,): +1 or -1, the sign that turns the facet's normal outward. key (f,): a number
-    of the facet that does not depend on the partition. cells (f,): local cell. rounding (f, k, d): of facets of order
-    1 taken for curved ones, where the k nodes lie that have no number; nodes are then their corners.
+    nodes (f, n): local node (block) numbers of the function space; the corners of smoothed facets
+    reference (f, n, d): undeformed coordinates, um; with the added nodes of smoothed facets
+    orientation (f,): +1 or -1, the sign that turns the facet's normal outward
+    key (f,): a number of the facet that does not depend on the partition
+    cells (f,): local cell
+    rounding (f, k, d): offsets of the k added nodes of smoothed facets (`forms.contact.smoothing`); k = 0 without
     """
 
     name: str
@@ -39,7 +41,7 @@ class Surface:
 
 
 def node_coordinates(space: Any) -> Array:
-    """Reference coordinates (local nodes, d) of the nodes of a Lagrange space of the mesh's own order."""
+    """Reference coordinates (n, d), um, of the local nodes of a Lagrange space of the mesh's order."""
     mesh = space.mesh
     nodes = fenicsx.dofmap(space)
     index_map = space.dofmap.index_map
@@ -49,7 +51,7 @@ def node_coordinates(space: Any) -> Array:
 
 
 def surface(space: Any, name: str, facets: NDArray[np.int32], order: int) -> Surface:
-    """The surface made of local boundary facets (indices) of the mesh of `space`. Collective."""
+    """Surface of the local boundary `facets` (f,) of the mesh of `space`. Collective."""
     mesh = space.mesh
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
@@ -71,13 +73,13 @@ def surface(space: Any, name: str, facets: NDArray[np.int32], order: int) -> Sur
 
 
 def global_numbers(space: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Global numbers of local nodes of a space, in an array of the same shape."""
+    """Global numbers of local nodes of a space, in the same shape."""
     numbers = space.dofmap.index_map.local_to_global(nodes.ravel())
     return np.asarray(numbers, np.int64).reshape(nodes.shape)
 
 
 def multiplicity(space: Any, surface: Surface) -> Array:
-    """How many facets of the surface, on all ranks, share each node of each facet, (f, n). Collective."""
+    """Number (f, n) of facets of the surface, on all ranks, that share each node of each facet. Collective."""
     counts = np.zeros(space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts)
     np.add.at(counts, surface.nodes, 1.0)
     return fenicsx.sum_over_ranks(space, counts)[surface.nodes]
@@ -90,6 +92,6 @@ def body_facets(space: Any, cell_body: NDArray[np.int32], body: int) -> NDArray[
 
 
 def _facet_cells(mesh: Any, facets: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The one cell of each boundary facet; the connectivity must exist."""
+    """Cell (f,) of each boundary facet; the connectivity must exist."""
     links = mesh.topology.connectivity(mesh.topology.dim - 1, mesh.topology.dim)
     return links.array[links.offsets[facets]]
