@@ -1,7 +1,7 @@
 """The tangent matrix: a bulk part with a fixed pattern plus contact blocks whose places change.
 
-The bulk of a small-strain scene is constant, so only the rows that contact touches are written anew. The pattern
-grows when contact needs new places, and the matrix is then built anew.
+In small kinematics the bulk is constant, and an iteration writes only the rows that contact touches. Where the pattern
+lacks places that contact needs, it grows and the matrix is built anew.
 """
 
 from __future__ import annotations
@@ -14,17 +14,20 @@ from petsc4py import PETSc
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 
-CHUNK = 100_000  # blocks
+CHUNK = 100_000  # blocks that are handled at once, to bound the memory of their places
 
 
 class TangentMatrix:
-    """Bulk + contact in one AIJ matrix, the fixed unknowns eliminated symmetrically. Every method is collective."""
+    """Bulk + contact in one AIJ matrix, the fixed unknowns eliminated symmetrically. Every method is collective.
+
+    block: unknowns of a node
+    fixed (k,): global numbers of this rank's fixed rows
+    matrix: of the last `assemble`; None before
+    rebuilds: number of times that the matrix was built with a new pattern
+    """
 
     def __init__(self, comm: MPI.Comm, bulk: PETSc.Mat, block: int, fixed: NDArray[np.int32]) -> None:
-        """`bulk` has full blocks of `block` unknowns a node; `fixed` are this rank's fixed rows (global numbers).
-
-        The bulk's values are read where they are wanted and not copied: it must live as long as this.
-        """
+        """bulk: AIJ with full blocks of `block` unknowns a node; it is read when needed, not copied, and must live on."""
         self.comm = comm
         self.block = block
         self.fixed = fixed
@@ -44,21 +47,21 @@ class TangentMatrix:
         self.set_bulk(bulk)
 
     def set_bulk(self, bulk: PETSc.Mat) -> None:
-        """Take over the bulk's values in the next `assemble`."""
+        """Use the values of this bulk, whose pattern must be the same, in the next `assemble`."""
         self._bulk = bulk
         self._bulk_is_new = True
 
     def forget_pattern(self) -> None:
-        """Drop the places of past contacts: the next `assemble` starts from the bulk's pattern."""
+        """Drop the places of past contacts: the next `assemble` builds the matrix from the bulk's pattern."""
         self._pattern = self._bulk_pattern
-        self._rows = np.zeros(0, np.int64)  # local nodes in whose rows contact may come
+        self._rows = np.zeros(0, np.int64)  # local nodes in whose rows contact has places
         self._pattern_is_new = True
 
     def assemble(self, nodes: Integers, matrices: Array, reserve: Integers) -> tuple[PETSc.Mat, bool]:
-        """The matrix with contact blocks added, not yet eliminated, and whether its pattern is new.
+        """The matrix with contact blocks added, fixed unknowns not yet eliminated, and whether its pattern is new.
 
-        nodes (k, n): global nodes of each facet pair; matrices (k, n * block, n * block). `reserve` (r, n): node
-        sets of pairs that may soon be in contact and should have places already.
+        nodes (k, n), matrices (k, n * block, n * block): global nodes of each facet pair of this rank, and its matrix
+        reserve (r, n): nodes of facet pairs that may soon be in contact, for which a new pattern has places too
         """
         keys, blocks = self._collect(nodes, matrices)
         fresh = self._pattern_is_new
@@ -110,7 +113,7 @@ class TangentMatrix:
         self._rows = np.union1d(self._rows, keys // self._total)
 
     def _write_bulk(self, fresh: bool) -> None:
-        """Write the bulk into the matrix, a new one if its pattern is; keep it in the rows of contact."""
+        """Write the bulk into the matrix, a new one if the pattern is new; keep its values in the rows of contact."""
         b, pattern = self.block, self._pattern
         bulk = self._bulk.getValuesCSR()[2]
         values = np.zeros(pattern.pointer[-1])
@@ -136,7 +139,7 @@ class TangentMatrix:
         self._pattern_is_new = self._bulk_is_new = False
 
     def _write_contact(self, keys: Integers, blocks: Array) -> None:
-        """Write the rows that contact touches, or did when it was written last."""
+        """Write the rows that contact touches now, and those that it touched when it was written last."""
         b = self.block
         rows = np.unique(np.concatenate([self._touched, keys // self._total]))
         scalar_rows = (rows[:, None] * b + np.arange(b)).ravel()
@@ -155,7 +158,11 @@ class TangentMatrix:
 
 
 class _Pattern:
-    """Blocks of a matrix in CSR data: their keys (k,), row * total + column, sorted; the scalar rows' pointer."""
+    """Places of the blocks of a matrix in its CSR data.
+
+    keys (k,): node row * total + node column of each block, sorted
+    pointer (rows * block + 1,): where each scalar row begins in the data
+    """
 
     def __init__(self, keys: Integers, rows: int, total: int, block: int) -> None:
         self.keys, self._total, self._block = keys, total, block
@@ -164,16 +171,16 @@ class _Pattern:
         self.pointer = np.concatenate([[0], np.cumsum(np.repeat(count * block, block))]).astype(PETSc.IntType)
 
     def chunks(self) -> list[Integers]:
-        """The keys, a part at a time: what is made from all of them at once is larger than the matrix."""
+        """The keys in parts: the places of all blocks at once take more memory than the matrix."""
         return np.split(self.keys, np.arange(CHUNK, len(self.keys), CHUNK))
 
     def has(self, keys: Integers) -> bool:
-        """Whether these keys are all among its own, which are many and sorted."""
+        """Whether the pattern has all these keys."""
         index = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
         return not len(keys) or (len(self.keys) > 0 and bool((self.keys[index] == keys).all()))
 
     def places(self, keys: Integers) -> Integers:
-        """Where the entries of the blocks with these keys stand, (k, b, b)."""
+        """Positions (k, b, b) in the data of the entries of the blocks with these keys."""
         b = self._block
         index = np.searchsorted(self.keys, keys)
         row = keys // self._total

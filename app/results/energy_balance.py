@@ -29,8 +29,7 @@ class EnergyBalance:
         self.problem = problem
         self.external_work = 0.0
         self.stabilization_work = 0.0
-        self.forces = problem.state.duplicate()
-        self.forces.set(0.0)
+        self.forces = problem.model.new_vector()
         self.restart_planes()
 
     def restart_planes(self) -> None:
@@ -40,12 +39,11 @@ class EnergyBalance:
     def add_part(self) -> None:
         """Add the part of a step that has just converged."""
         problem = self.problem
-        block, d = problem.model.unknowns.block, problem.model.dim
-        new, old = (v.array_r.reshape(-1, block) for v in (problem.residual_with_reactions, self.forces))
+        by_node, d = problem.model.unknowns.by_node, problem.model.dim
         # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
         # and the reactions.
-        new = new - problem.loads.vector.array_r.reshape(-1, block)
-        x, x0 = (v.array_r.reshape(-1, block) for v in (problem.state, problem.converged_state))
+        new = by_node(problem.residual_with_reactions) - by_node(problem.loads.vector)
+        old, x, x0 = by_node(self.forces), by_node(problem.state), by_node(problem.converged_state)
         work = 0.0
         if problem.snap_through_work is None:
             work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()

@@ -31,8 +31,8 @@ def save(
     model, contact = problem.model, problem.contact
     ids = _node_ids(model)
     nodal = {
-        "state": (ids, problem.state.array_r.reshape(-1, model.unknowns.block)),
-        "forces": (ids, balance.forces.array_r.reshape(-1, model.unknowns.block)),
+        "state": (ids, model.unknowns.by_node(problem.state)),
+        "forces": (ids, model.unknowns.by_node(balance.forces)),
     }
     scalars = {
         "history": history,
@@ -101,6 +101,7 @@ def _restore_contact(contact: Interfaces, stored: checkpoint.Checkpoint, *, augm
 
 def _node_ids(model: Model) -> NDArray[np.int64]:
     """Numbers of the owned nodes in the mesh file."""
-    ids = np.zeros(model.unknowns.owned + model.unknowns.space.dofmap.index_map.num_ghosts, np.int64)
-    ids[fenicsx.dofmap(model.unknowns.space)] = fenicsx.node_ids(model.mesh)[fenicsx.geometry_dofmap(model.mesh)]
-    return ids[: model.unknowns.owned]
+    unknowns = model.unknowns
+    ids = np.zeros(unknowns.local, np.int64)
+    ids[fenicsx.dofmap(unknowns.space)] = fenicsx.node_ids(model.mesh)[fenicsx.geometry_dofmap(model.mesh)]
+    return ids[: unknowns.owned]
