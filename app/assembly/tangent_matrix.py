@@ -27,7 +27,7 @@ class TangentMatrix:
     """
 
     def __init__(self, comm: MPI.Comm, bulk: PETSc.Mat, block: int, fixed: NDArray[np.int32]) -> None:
-        """bulk: AIJ with full blocks of `block` unknowns a node; it is read when needed, not copied, and must live on."""
+        """bulk: AIJ with full blocks of `block` unknowns a node; read when needed, not copied: it must live as long."""
         self.comm = comm
         self.block = block
         self.fixed = fixed
