@@ -160,7 +160,7 @@ class _Session:
                     break
                 began = perf_counter()
                 try:
-                    report = self.stepper.advance(step, lambda factors: self.balance.add_part())
+                    report = self.stepper.advance(step, lambda part: self.balance.add_part(part.snap_through_work))
                 except SolveError as error:
                     failure = NotConverged(f"{error}; {self._what_is_kept()}")
                     break

@@ -47,7 +47,6 @@ class Problem:
     residual_with_reactions: R at the last `residual`; at fixed unknowns the reactions less the loads there
     stiffness_version: number of times that the tangent without contact has changed
     condensed: what evaluates the residual of bulk, loads and stabilization instead of these; None: they do
-    snap_through_work: of the last part of a step, see `piezomat.solver.snap_through`
     is_linear: whether one linear solve is enough
     largest_force, uN (2D: per um of depth): forces of a strain of one, and of a penetration as large as the coordinates
         that gaps are computed from; rounding is a share of it
@@ -73,7 +72,6 @@ class Problem:
         self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
         self.condensed: CondensedBulk | None = None
         self.stiffness_version = 0
-        self.snap_through_work: Array | None = None
         self.is_linear = contact is None and self.bulk.is_constant
         length = float(model.parts.size.max())
         stiffest = contact.largest_penalty if contact is not None else 0.0

@@ -36,8 +36,11 @@ class EnergyBalance:
         """Take the planes' forces at the last evaluation of contact as the start of the next part."""
         self.planes = self._plane_values()
 
-    def add_part(self) -> None:
-        """Add the part of a step that has just converged."""
+    def add_part(self, snap_through_work: Array | None = None) -> None:
+        """Add the part of a step that has just converged.
+
+        snap_through_work (2,): external work and energy set free, pJ, where bonds have snapped.
+        """
         problem = self.problem
         by_node, d = problem.model.unknowns.by_node, problem.model.dim
         # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
@@ -45,14 +48,14 @@ class EnergyBalance:
         new = by_node(problem.residual_with_reactions) - by_node(problem.loads.vector)
         old, x, x0 = by_node(self.forces), by_node(problem.state), by_node(problem.converged_state)
         work = 0.0
-        if problem.snap_through_work is None:
+        if snap_through_work is None:
             work = 0.5 * ((new[:, :d] + old[:, :d]) * (x[:, :d] - x0[:, :d])).sum()
         if problem.model.electric:
             work -= 0.5 * ((x[:, d] + x0[:, d]) * (new[:, d] - old[:, d])).sum()
         self.external_work += problem.comm.allreduce(float(work), op=MPI.SUM)
-        if problem.snap_through_work is not None:
-            self.external_work += float(problem.snap_through_work[0])
-            self.stabilization_work += float(problem.snap_through_work[1])
+        if snap_through_work is not None:
+            self.external_work += float(snap_through_work[0])
+            self.stabilization_work += float(snap_through_work[1])
         self._add_planes()
         self.stabilization_work += problem.stabilization.work(problem.state)
         self.forces.array[:] = new.ravel()

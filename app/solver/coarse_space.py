@@ -1,7 +1,7 @@
-"""Two-level multigrid for the displacements of bodies that only contact holds: the coarse space is boxes of each body.
+"""Coarse space of a two-level multigrid for unconstrained bodies: rigid motions of aggregates of each body.
 
 Algebraic multigrid takes nodes of two bodies that touch for one aggregate, and then cannot tell that the bodies slide
-on each other, which without friction costs nothing. Here an aggregate is those nodes of a body that lie in one box of a
+on each other, which without friction costs nothing. Here an aggregate is the nodes of a body in one box of a
 lattice. The coarse functions are its rigid motions, smoothed by the stiffness of the bodies alone (Vanek, Mandel and
 Brezina, Computing 56 (1996) 179-196); contact enters through the coarse matrix, which is factorized.
 """
@@ -18,11 +18,11 @@ from petsc4py import PETSc
 from piezomat.discretization.model import Model
 from piezomat.discretization.rigid_bodies import rigid_modes
 
-NODES = 150.0  # in a box that a body fills; half as many or twice as many cost the same
+AGGREGATE_NODES = 150.0  # in a box that a body fills; half as many or twice as many cost the same
 RELAXATION = 4.0 / 3.0  # over the largest eigenvalue of D^-1 A
 POWER_ITERATIONS, SAFETY = 12, 1.1  # how that eigenvalue is found, and by how much it may be larger
 TINY = np.finfo(float).tiny
-DEPENDENT = 1e-6  # a motion is left out of which the others leave less than this share
+DEPENDENT = 1e-6  # singular value of an aggregate's motions, over that of a unit motion, below which one is dropped
 
 
 def options(*, symmetric: bool) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def options(*, symmetric: bool) -> dict[str, Any]:
 
 
 def interpolation(model: Model, stiffness: PETSc.Mat) -> PETSc.Mat:
-    """What nodes do if boxes of their body move, (displacements, coarse unknowns). Collective.
+    """Smoothed rigid motions of the aggregates, (displacements, coarse unknowns). Collective.
 
     stiffness: of the displacements, without contact, its fixed unknowns eliminated.
     """
@@ -49,23 +49,23 @@ def interpolation(model: Model, stiffness: PETSc.Mat) -> PETSc.Mat:
     return smoothed
 
 
-def _boxes(model: Model) -> list[NDArray[np.int64]]:
-    """The nodes of this rank in each box of each part of the model."""
+def _aggregates(model: Model) -> list[NDArray[np.int64]]:
+    """This rank's nodes in each box of each part of the model."""
     x, part = model.unknowns.coordinates[: model.unknowns.owned], model.parts.node_part[: model.unknowns.owned]
-    edge = (NODES * model.parts.volume * model.unknowns.block / model.unknowns.total) ** (1.0 / model.dim)
+    edge = (AGGREGATE_NODES * model.parts.volume * model.unknowns.block / model.unknowns.total) ** (1.0 / model.dim)
     keys = np.column_stack([part, np.floor(x / edge).astype(np.int64)])
     _, box, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     return np.split(np.argsort(box.ravel(), kind="stable"), np.cumsum(count))[:-1]
 
 
 def _motions(model: Model) -> PETSc.Mat:
-    """Orthonormal rigid motions of the boxes at the nodes, nothing where a displacement is fixed."""
+    """Orthonormal rigid motions of the aggregates at the nodes, zero where a displacement is prescribed."""
     d, n = model.dim, model.unknowns.owned
     free = np.ones(n * model.unknowns.block)
     free[model.constraints.fixed] = 0.0
     free = free.reshape(n, model.unknowns.block)[:, :d, None]
     rows, columns, values, count = [], [], [], 0
-    for nodes in _boxes(model):
+    for nodes in _aggregates(model):
         away = model.unknowns.coordinates[nodes] - model.unknowns.coordinates[nodes].mean(axis=0)
         modes = free[nodes] * rigid_modes(away / max(np.abs(away).max(), TINY))
         basis, size, _ = np.linalg.svd(modes.reshape(len(nodes) * d, -1), full_matrices=False)
@@ -83,7 +83,7 @@ def _motions(model: Model) -> PETSc.Mat:
 
 
 def _largest_eigenvalue(stiffness: PETSc.Mat, inverse: PETSc.Vec) -> float:
-    """Of the stiffness over its diagonal, or a little more."""
+    """Upper estimate of the largest eigenvalue of D^-1 A, A the stiffness and D its diagonal, by the power method."""
     x, y = stiffness.createVecs()
     # Rough everywhere, and the same on any number of ranks but for the numbering.
     x.array[:] = np.random.default_rng(0).standard_normal(len(x.array))

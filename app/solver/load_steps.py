@@ -1,10 +1,14 @@
-"""Load steps: the load factors over a run, and how a step that fails is cut, repeated and grown again."""
+"""Load steps: the load factors over a run, and how a step that fails is cut, repeated and grown again.
+
+A step is taken in parts, one at first. Each part is solved to equilibrium; where that fails, half of it is tried, and
+after each success twice as much. Where bonds snap, small parts do not help: see `snap_through`.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
@@ -12,24 +16,22 @@ from mpi4py import MPI
 from piezomat.assembly.problem import Problem
 from piezomat.contact.uzawa import augment
 from piezomat.discretization.prescription import Factors
+from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.interface import stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import NewtonReport, SolveError
-from piezomat.solver.snap_through import snap_through_work
+from piezomat.solver.snap_through import snap_through, snap_through_work
+from piezomat.solver.stabilization import Stabilization
 
 log = logging.getLogger("piezomat")
 
 SNAP_CUTBACKS = 3  # times that a step is halved before bonds are taken to snap
-SNAP_PARTS = 1000  # in which they must come to rest; the most that any took is 107
-SNAP_LEVELS, SNAP_FALL = 5, 0.25  # drag falls by this factor so many times before none is tried
-SNAP_WAIT = 3  # parts to go on with a drag after less of it has failed
 AUGMENTATIONS = 40  # of one solve
 # Facets. A wave of length l in the surface that points press on shortens their way out by half of g (2 pi / l)^2 times
 # its height squared: deep inside, at a gap -g, that frees more energy of the penalty than the wave costs the body.
 DEEP = 0.5
 PULLED_IN = 0.7  # of the gap that `stable_electric_range` asks for: less is named as what may have failed a step
-DRAG = 1.0  # drag to begin with, in steepest falls of the bonds' traction
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,17 @@ def steps(load: Load) -> Iterator[Step]:
 
 @dataclass
 class StepReport:
-    """What a step took: Newton and Krylov iterations, augmentations, cuts, relative residuals of its solves."""
+    """Effort of a load step: Newton and Krylov iterations, cuts, augmentations, and the report of each solve.
 
-    newton: int
-    krylov: int
-    cutbacks: int
-    solves: list[NewtonReport]
+    snap_through_work (2,): see `snap_through_work`, of the last part that converged; None where nothing has snapped.
+    """
+
+    newton: int = 0
+    krylov: int = 0
+    cutbacks: int = 0
     augmentations: int = 0
+    solves: list[NewtonReport] = field(default_factory=list)
+    snap_through_work: Array | None = None
 
 
 class AugmentationError(SolveError):
@@ -79,7 +85,11 @@ class AugmentationError(SolveError):
 
 
 class Stepper:
-    """Takes a problem through load steps. Every method is collective."""
+    """Takes a problem through load steps. Every method is collective.
+
+    size: share of a step that is tried at once, kept from step to step; last_motion (um): largest component of a
+    node's motion in the last part.
+    """
 
     def __init__(
         self, problem: Problem, newton: Newton, max_cutbacks: int, augment_tolerance: float | None = None
@@ -87,23 +97,24 @@ class Stepper:
         """augment_tolerance: see `contact.augment` of a scene; None: no augmentation."""
         self.problem = problem
         self.newton = newton
+        self.stabilization = Stabilization(problem, newton.solve) if problem.stabilization.is_active else None
         self.max_cutbacks = max_cutbacks
         self.augment_tolerance = augment_tolerance
-        self.size = 1.0  # share of a step that is tried at once; kept from step to step
-        self.last_motion = 0.0  # how far a node moved in the last solve, um
+        self.size = 1.0
+        self.last_motion = 0.0
 
-    def advance(self, step: Step, committed: Callable[[Factors], None]) -> StepReport:
-        """Take the step, in parts if need be; `committed(factors)` is called after each part that converged.
+    def advance(self, step: Step, committed: Callable[[StepReport], None]) -> StepReport:
+        """Take the step, in parts if need be; `committed(report so far)` is called after each part that converged.
 
         Raises SolveError with the reason, the state being that of the last part that converged.
         """
-        report = StepReport(0, 0, 0, [])
+        report = StepReport()
         done = 0.0
         while done < 1.0:
             target = min(done + self.size, 1.0)
-            levels = step.factors(done) if step.number > 1 or done else None, step.factors(target)
+            before = step.factors(done) if step.number > 1 or done else None
             try:
-                self._part(*levels, committed, report)
+                self._part(before, step.factors(target), committed, report)
             except AugmentationError:
                 raise
             except SolveError as error:
@@ -113,7 +124,7 @@ class Stepper:
                     self._cut(step, tried, error)
                     continue
                 log.info("step %d: bonds snap: %s", step.number, error)
-                self._snap(*levels, committed, report)
+                self._snap_through(before, step.factors(target), committed, report)
             done = target
             self.size = min(1.0, 2.0 * self.size)
         return report
@@ -121,23 +132,23 @@ class Stepper:
     def _part(
         self,
         before: Factors | None,
-        factors: Factors,
-        committed: Callable[[Factors], None],
+        after: Factors,
+        committed: Callable[[StepReport], None],
         report: StepReport,
-        drag: float | None = None,
+        viscosity: float | None = None,
     ) -> None:
         """Go from the last converged state to a load level; SolveError, the state being as it was, if that fails.
 
-        before: load level of the last converged state, None for the undeformed bodies.
+        before: load level of the last converged state, None for the undeformed bodies. viscosity: of the bonds.
         """
         problem = self.problem
-        problem.set_loads(factors)
-        prescribed = problem.model.prescription.motion(factors, before)
+        problem.set_loads(after)
+        prescribed = problem.model.prescription.motion(after, before)
         margin = self.margin(prescribed)
         problem.begin_step(margin)
-        if drag is not None:
+        if viscosity is not None:
             problem.residual(problem.state, problem.state.duplicate())
-            problem.contact.start_viscous_regularization(drag)
+            problem.contact.start_viscous_regularization(viscosity)
         try:
             self._solve(margin, prescribed, report)
         except SolveError:
@@ -146,16 +157,32 @@ class Stepper:
                 problem.contact.restore_multipliers()
             raise
         self.last_motion = problem.motion()
-        problem.snap_through_work = snap_through_work(problem)
+        report.snap_through_work = snap_through_work(problem)
         if problem.contact is not None:
             problem.contact.commit()
-        committed(factors)
+        committed(report)
+
+    def _snap_through(
+        self, before: Factors | None, after: Factors, committed: Callable[[StepReport], None], report: StepReport
+    ) -> None:
+        """Reach a load level where bonds snap, in parts at this level."""
+
+        def part(viscosity: float) -> None:
+            nonlocal before
+            self._part(before, after, committed, report, viscosity)
+            before = after
+
+        snap_through(self.problem.contact, part)
 
     def _solve(self, margin: float, prescribed: float, report: StepReport) -> None:
         """Bring the problem to equilibrium, again after each step of augmentation until gap and jump are small."""
         problem, tolerance = self.problem, self.augment_tolerance
         for number in range(AUGMENTATIONS + 1):
-            solve = self.newton.solve(margin, prescribed)
+            solve = NewtonReport()
+            if self.stabilization is not None:
+                self.stabilization.solve(margin, prescribed, solve)
+            else:
+                self.newton.solve(margin, solve)
             report.newton += solve.iterations
             report.krylov += solve.krylov
             report.solves.append(solve)
@@ -203,32 +230,6 @@ class Stepper:
             f" (over a gap of {fade:.2g} um, where the electric contact fades out, surfaces {voltage:.3g} V apart may "
             f"pull harder than bodies resist: raise contact.electric_range to {wanted:.2g})"
         )
-
-    def _snap(
-        self, before: Factors | None, factors: Factors, committed: Callable[[Factors], None], report: StepReport
-    ) -> None:
-        """Reach a load level where bonds snap, so that there is no equilibrium near the last one.
-
-        They open against a drag that falls from part to part, until what is left is in equilibrium without it.
-        """
-        level, wait = 0, 0
-        try:
-            for _ in range(SNAP_PARTS):
-                free = level == SNAP_LEVELS
-                try:
-                    self._part(before, factors, committed, report, 0.0 if free else DRAG * SNAP_FALL**level)
-                except SolveError as error:
-                    level, wait = level - 1, SNAP_WAIT
-                    if level < -SNAP_LEVELS:
-                        raise SolveError(f"bonds snap, and do not come to rest: {error}") from error
-                    continue
-                if free:
-                    return
-                before = factors
-                level, wait = level + (wait == 0), max(wait - 1, 0)
-        finally:
-            self.problem.contact.end_viscous_regularization()
-        raise SolveError(f"bonds snap, and do not come to rest in {SNAP_PARTS} parts")
 
     def revisit(self) -> None:
         """Evaluate residual and contact at the present state, as they are at the end of a step."""

@@ -1,4 +1,4 @@
-"""MUMPS's Schur complements, which petsc4py does not wrap: factors of a matrix and what is left of some unknowns."""
+"""Factors and Schur complements by MUMPS, for which petsc4py has no methods: they are called in PETSc's C library."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _library = ctypes.CDLL(petsc4py.PETSc.__file__)  # PETSc itself is linked to it
 class SchurFactors:
     """LDL^T of symmetric matrices of this rank, with the Schur complements of some of their unknowns. Not collective.
 
-    Vectors are those of the matrices, one after the other.
+    The matrices are the blocks of one: vectors are those of the blocks, one after the other.
     """
 
     def __init__(self) -> None:
@@ -28,9 +28,9 @@ class SchurFactors:
         self._complements: list[Array] = []
 
     def add(self, matrix: PETSc.Mat, kept: NDArray[np.int32]) -> None:
-        """Factorize one more matrix, which is used up; `kept` (n,) are the unknowns of its Schur complement."""
+        """Factorize one more matrix, and destroy it; `kept` (n,) are the unknowns of its Schur complement."""
         matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        matrix.convert(PETSc.Mat.Type.SBAIJ)  # half of it: MUMPS takes these values as they are
+        matrix.convert(PETSc.Mat.Type.SBAIJ)  # the upper half, whose values MUMPS uses without a copy
         pc = PETSc.PC().create(MPI.COMM_SELF)
         pc.setOperators(matrix)
         pc.setType(PETSc.PC.Type.CHOLESKY)
@@ -45,17 +45,21 @@ class SchurFactors:
         self._factors.append(factor)
         self._vectors.append(matrix.createVecs())
         self._complements.append(_schur_complement(factor, len(kept)) if len(kept) else np.zeros((0, 0)))
-        # The factors do without these, which would live until garbage is collected.
+        # The factors do not need these, which would live until garbage is collected.
         pc.destroy()
         matrix.destroy()
 
     def destroy(self) -> None:
-        """Give the factors' memory back. Ends its use."""
+        """Free the factors. Ends its use."""
         for factor in self._factors:
             factor.destroy()
+        for vectors in self._vectors:
+            for vector in vectors:
+                vector.destroy()
+        self._factors, self._vectors, self._complements = [], [], []
 
     def complement(self) -> Array:
-        """The Schur complement (n, n) of all unknowns that are kept."""
+        """The Schur complement (n, n) of all kept unknowns."""
         return scipy.linalg.block_diag(np.zeros((0, 0)), *self._complements)
 
     def reduced(self, kept: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What a solve came to: its iterations, or the reason why there is no solution."""
+"""What a nonlinear solve came to: its effort, or the reason why there is no solution."""
 
 from __future__ import annotations
 
@@ -11,8 +11,15 @@ class SolveError(RuntimeError):
 
 @dataclass
 class NewtonReport:
-    """Newton iterations (the start value counts as one), Krylov iterations, and relative residuals per iteration."""
+    """Effort of the solution of one load level.
+
+    iterations: Newton iterations, the start value counted as one; krylov: iterations of the Krylov solver, a direct
+    solve counted as one; residuals: relative residual at each iteration. With a condensed bulk, factor_solves: solves
+    with the factors of the bulk on this rank; candidates: nodes that the bulk is condensed to, at the end.
+    """
 
     iterations: int = 0
     krylov: int = 0
     residuals: list[float] = field(default_factory=list)
+    factor_solves: int = 0
+    candidates: int = 0

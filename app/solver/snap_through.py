@@ -1,28 +1,65 @@
-"""Snaps: what is done from outside and what is set free in a part of a step that has no equilibrium on its way."""
+"""Snap-through of bonds: how a load level without an equilibrium near the last one is reached, and the work of it.
+
+Bonds that break at once have no equilibrium on their way. They are taken there by viscous regularization: each part of
+the step is one of dashpots that resist their opening, weaker from part to part, until the bonds are at rest without.
+The energy that is set free on the way is the work of the forces out of balance.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
+from piezomat.solver.outcome import SolveError
 
-ACCURACY, HALVINGS = 1e-3, 7  # of the work on the way of a snap, and how often that is divided at most
-SNAPPED = 0.25  # share of a part's change of force times motion: what is set free beyond it, a snap sets free
+MAX_PARTS = 1000  # in which bonds must come to rest; the most that any took is 107
+VISCOSITY = 1.0  # to begin with, over the steepest fall of the bonds' traction
+LEVELS, REDUCTION = 5, 0.25  # times that the viscosity is reduced before none is tried, and the factor each time
+WAIT = 3  # parts at the same viscosity after a lower one has failed
+ACCURACY, MAX_HALVINGS = 1e-3, 7  # of the work along a snap-through: relative, and divisions of its path
+SNAPPED = 0.25  # share of a part's change of force times motion: energy set free beyond it means a snap-through
+
+
+def snap_through(contact: Interfaces, part: Callable[[float], None]) -> None:
+    """Reach a load level where bonds snap, against a viscosity that falls to zero. Collective.
+
+    part(viscosity): solves a part of the step at that load level; SolveError if it fails. 0: without viscosity.
+    SolveError if the bonds do not come to rest.
+    """
+    level, wait = 0, 0
+    try:
+        for _ in range(MAX_PARTS):
+            is_last = level == LEVELS
+            try:
+                part(0.0 if is_last else VISCOSITY * REDUCTION**level)
+            except SolveError as error:
+                level, wait = level - 1, WAIT
+                if level < -LEVELS:
+                    raise SolveError(f"bonds snap, and do not come to rest: {error}") from error
+                continue
+            if is_last:
+                return
+            level, wait = level + (wait == 0), max(wait - 1, 0)
+    finally:
+        contact.end_viscous_regularization()
+    raise SolveError(f"bonds snap, and do not come to rest in {MAX_PARTS} parts")
 
 
 def snap_through_work(problem: Problem) -> Array | None:
-    """Work from outside and what is set free, (2,) pJ, in a part of a step that snaps; None if none does. Collective.
+    """External work and energy set free, (2,) pJ, in a part with a snap-through; None without one. Collective.
 
-    Along the straight line from `start` to the state these are the work of reactions and loads, and minus that of the
-    forces out of balance, a drag on them left out; the first less the second is what is stored and dissipated. A step
-    may snap without a drag, where Newton's method finds the other side by itself: more is then set free than the work
-    from outside is uncertain by.
+    Along the straight line from the last converged state these are the work of reactions and loads, and minus that of
+    the forces out of balance, viscosity left out; their difference is what is stored and dissipated. A step may snap
+    without viscosity, where Newton's method finds the other side by itself: more energy is then set free than the
+    external work is uncertain by.
     """
     contact = problem.contact
     if contact is None or not contact.adhesive:
@@ -32,7 +69,7 @@ def snap_through_work(problem: Problem) -> Array | None:
     fixed = np.zeros(len(problem.residual_with_reactions.array_r), bool)
     fixed[problem.model.constraints.fixed] = True
     fixed = fixed.reshape(-1, problem.model.unknowns.block)[:, : problem.model.dim]
-    dragged, contact.viscous_regularization = contact.viscous_regularization, False
+    is_viscous, contact.viscous_regularization = contact.viscous_regularization, False
 
     def power(share: float) -> Array:
         x = (1.0 - share) * problem.converged_state + share * end
@@ -50,26 +87,26 @@ def snap_through_work(problem: Problem) -> Array | None:
     )
     found = _simpson(values)
     uncertain = SNAPPED * abs(values[-1][0] - values[0][0])
-    snaps = dragged or found[0] - gained > uncertain
-    for _ in range(HALVINGS if snaps else 0):
+    snaps = is_viscous or found[0] - gained > uncertain
+    for _ in range(MAX_HALVINGS if snaps else 0):
         count = 2 * (len(values) - 1)
         between = [power((2 * k + 1) / count) for k in range(count // 2)]
         values = [*itertools.chain(*zip(values, between, strict=False)), values[-1]]
         before, found = found, _simpson(values)
         if np.abs(found - before).max() <= ACCURACY * np.abs(found).max():
             break
-    contact.viscous_regularization = dragged
+    contact.viscous_regularization = is_viscous
     problem.residual(end, end.duplicate())
     return found if snaps else None
 
 
 def _energy(problem: Problem, x: PETSc.Vec) -> float:
-    """Energy stored and dissipated at a state where contact was evaluated last, pJ."""
+    """Energy stored and dissipated at the state of the last evaluation of contact, pJ."""
     return sum(problem.bulk.energies(x).values()) + sum(problem.contact.energies().values())
 
 
 def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:
-    """Work of the charges that flow to prescribed potentials while the forces change, from `start` to `end`, pJ."""
+    """Work of the charges that flow to prescribed potentials while the forces change, up to the state `end`, pJ."""
     model = problem.model
     if not model.electric:
         return 0.0
@@ -80,6 +117,6 @@ def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:
 
 
 def _simpson(values: list[Array]) -> Array:
-    """Integral from 0 to 1 of what has these values at equal distances."""
+    """Integral from 0 to 1 of a function with these values at equal distances."""
     inner = 4.0 * sum(values[1:-1:2]) + 2.0 * sum(values[2:-1:2], np.zeros_like(values[0]))
     return (values[0] + inner + values[-1]) / (3.0 * (len(values) - 1))

@@ -1,8 +1,11 @@
-"""Parts that only contact can hold, brought to equilibrium: the springs on them are stronger for a while, or for good.
+"""Stabilization: how stiff the springs on unconstrained bodies are while a load level is solved.
 
-What next to nothing holds is thrown about by Newton's method. Where a load acts on such a part, its springs are made
-strong at first and then weaker, down to where they bear nothing. Where no load does, as in a mat that planes press,
-a hundred times stronger ones may stay, as long as their work is small; in a mat of many fibers they are there at once.
+A body that contact alone can hold is thrown about by Newton's method. Weak springs at all its unknowns, which start
+from the last converged state, keep the tangent regular. Where they do not hold a body, there are two ways:
+
+- With loads, stiff springs are reduced from solve to solve, down to the weak ones, which carry none of the load.
+- Without, as in a mat pressed by planes, springs a hundred times stiffer stay, as long as they take next to no energy.
+  With many unconstrained bodies, some of which would nearly always be thrown about, they are there from the start.
 """
 
 from __future__ import annotations
@@ -17,35 +20,37 @@ from piezomat.solver.outcome import NewtonReport, SolveError
 
 log = logging.getLogger("piezomat")
 
-CARRIED = 1e-4  # share of the loads that the springs of a floating part may carry in the end
-STRONGEST, FALL, LEAST_FALL = 1e7, 10.0, 1.3  # how strong they are at first; by what they weaken, at most, at least
-THROUGH = 0.5  # share of the least thickness by which a floating part may move beyond what is prescribed in a step
-MANY = 50  # loose parts, of which some are nearly always thrown about: their springs are stronger from the start
-STRONGER, WORK = 100.0, 5e-4  # how strong springs may stay, and the share of the stored energy that they may then take
+LARGEST_LOAD_SHARE = 1e-4  # of the loads that the weak springs may carry
+# Initial stabilization factor under a load; largest and smallest factor by which it is reduced from solve to solve.
+INITIAL_FACTOR, LARGEST_REDUCTION, SMALLEST_REDUCTION = 1e7, 10.0, 1.3
+FLOWN = 0.5  # share of the least thickness by which a body may move further in a step than what is prescribed
+MANY_BODIES = 50  # unconstrained bodies, from which springs are stiffer from the start
+# Factor of springs that stay stiffer, and the share of the stored energy that they may take.
+STIFFER, LARGEST_ENERGY_SHARE = 100.0, 5e-4
 UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 
 
-class Springs:
-    """Solves a problem some parts of which only contact can hold. Every method is collective.
+class Stabilization:
+    """Solves a problem with unconstrained bodies by changing the stiffness of their springs. Methods are collective.
 
-    equilibrium(margin, report): Newton's method from the present state with the springs as they are.
+    newton(margin, report): Newton's method from the present state, with the springs as they are; see `Newton.solve`.
     """
 
-    def __init__(self, problem: Problem, equilibrium: Callable[[float, NewtonReport], None]) -> None:
+    def __init__(self, problem: Problem, newton: Callable[[float, NewtonReport], None]) -> None:
         self.problem = problem
-        self._equilibrium = equilibrium
-        if problem.model.unconstrained[:, 0].sum() >= MANY and not problem.loads.exist:
-            problem.set_stabilization(STRONGER)
+        self.newton = newton
+        if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not problem.loads.exist:
+            problem.set_stabilization(STIFFER)
 
     def solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
 
-        margin: see `Newton.solve`. prescribed (um): how far boundaries and planes move in the step.
+        margin, report: see `Newton.solve`. prescribed (um): how far boundaries and planes move in the step.
         """
         problem = self.problem
         try:
             self._solve(margin, prescribed, report)
-            if problem.stabilization.load_share(problem.state, problem.loads.vector) <= CARRIED:
+            if problem.stabilization.load_share(problem.state, problem.loads.vector) <= LARGEST_LOAD_SHARE:
                 return
         except SolveError as error:
             if not (problem.loads.exist or problem.model.has_unconstrained_bodies):
@@ -54,48 +59,49 @@ class Springs:
         problem.converged_state.copy(problem.state)
         problem.pair(margin)
         if problem.loads.exist:
-            self._let_down(margin, prescribed, report)
+            self._reduce(margin, prescribed, report)
         else:
-            problem.set_stabilization(STRONGER if problem.stabilization.factor == 1.0 else 1.0)
+            problem.set_stabilization(STIFFER if problem.stabilization.factor == 1.0 else 1.0)
             self._solve(margin, prescribed, report)
 
     def _solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
+        """Solve with the springs as they are; SolveError where a body has flown or stiffer springs take energy."""
         problem = self.problem
-        self._equilibrium(margin, report)
-        if self._flew(prescribed):
-            raise SolveError(f"a body has flown: {THROUGH:g} of the thinnest one's thickness in one step")
-        if problem.stabilization.factor == STRONGER:
+        self.newton(margin, report)
+        if self._has_flown(prescribed):
+            raise SolveError(f"a body has flown: {FLOWN:g} of the thinnest one's thickness in one step")
+        if problem.stabilization.factor == STIFFER:
             stored = sum(problem.bulk.energies(problem.state).values())
-            if problem.stabilization.work(problem.state) > WORK * stored:
+            if problem.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
-    def _let_down(self, margin: float, prescribed: float, report: NewtonReport) -> None:
-        """Solve with strong springs of floating parts and ever weaker ones, so that no part leaps through another."""
+    def _reduce(self, margin: float, prescribed: float, report: NewtonReport) -> None:
+        """Solve with stiff springs and then ever weaker ones, so that no body leaps through another."""
         problem = self.problem
-        here, last, fall = problem.state.copy(), STRONGEST * FALL, FALL
+        here, last, reduction = problem.state.copy(), INITIAL_FACTOR * LARGEST_REDUCTION, LARGEST_REDUCTION
         try:
             while last > 1.0:
-                factor = max(last / fall, 1.0)
+                factor = max(last / reduction, 1.0)
                 problem.set_stabilization(factor)
                 try:
-                    self._equilibrium(margin, report)
-                    if self._flew(prescribed, here):
+                    self.newton(margin, report)
+                    if self._has_flown(prescribed, here):
                         raise SolveError(UNHELD)
                 except SolveError:
-                    fall = fall**0.5
-                    if fall < LEAST_FALL or last > STRONGEST:
+                    reduction = reduction**0.5
+                    if reduction < SMALLEST_REDUCTION or last > INITIAL_FACTOR:
                         raise
                     here.copy(problem.state)
                     problem.pair(margin)
                 else:
                     problem.state.copy(here)
-                    last, fall = factor, min(fall**2, FALL)
+                    last, reduction = factor, min(reduction**2, LARGEST_REDUCTION)
         finally:
             problem.set_stabilization(1.0)
-        if problem.stabilization.load_share(problem.state, problem.loads.vector) > CARRIED:
+        if problem.stabilization.load_share(problem.state, problem.loads.vector) > LARGEST_LOAD_SHARE:
             raise SolveError(UNHELD)
 
-    def _flew(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
-        """Whether a part may have flown through another: its springs are too weak to hold it or to tell."""
+    def _has_flown(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
+        """Whether a body may have passed through another, which weak springs neither prevent nor show."""
         problem = self.problem
-        return problem.motion(since) > prescribed + THROUGH * problem.model.parts.thickness.min()
+        return problem.motion(since) > prescribed + FLOWN * problem.model.parts.thickness.min()

@@ -16,7 +16,7 @@ from piezomat.forms.contact.integrals import first_changes
 from piezomat.meshes.body_mesh import create
 from piezomat.scene import Scene
 from piezomat.simulation import run
-from piezomat.solver import newton as solver
+from piezomat.solver import active_set_prediction
 from tests.facets import KINDS, PairBatch
 from tests.histories import assert_equal
 from tests.scenes import pressed
@@ -103,7 +103,7 @@ def test_the_same_equilibrium_as_without_foresight(comm: MPI.Comm, monkeypatch: 
     """In fewer iterations, the linear solves of which are counted."""
     scene = pressed(2, mesh={"size": 0.12, "contact_size": 0.03}, contact={"normal_penalty": 1e7})
     foreseen = run(scene, comm).history
-    monkeypatch.setattr(solver, "FORESIGHTS", 0)
+    monkeypatch.setattr(active_set_prediction, "MAX_PREDICTIONS", 0)
     blind = run(scene, comm).history
     assert_equal(foreseen, blind, ("newton", "krylov"))
     for ours, theirs in zip(foreseen, blind, strict=True):

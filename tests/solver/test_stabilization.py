@@ -1,18 +1,18 @@
-"""Springs of loose bodies: stronger ones where weak ones do not hold them, as long as they take next to no energy."""
+"""Stabilization of unconstrained bodies: stiffer springs where weak ones fail, as long as they take little energy."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import pytest
 from mpi4py import MPI
 
 from piezomat.assembly import stabilization_stiffness
+from piezomat.assembly.problem import Problem
 from piezomat.scene import Scene
-from piezomat.simulation import NotConverged, run
-from piezomat.solver import newton as solver
-from piezomat.solver import stabilization as springs
-from piezomat.solver.outcome import NewtonReport, SolveError
+from piezomat.simulation import run
+from piezomat.solver import stabilization
+from piezomat.solver.load_steps import steps
+from piezomat.solver.outcome import SolveError
+from tests.marching import stepper_of
 from tests.scenes import press
 
 
@@ -60,51 +60,51 @@ def test_a_disc_carried_by_planes_has_not_flown(motion: float, comm: MPI.Comm) -
     assert row["force_y@lid"] == pytest.approx(nearby["force_y@lid"], rel=1e-4)
 
 
-@pytest.fixture
-def weak(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The strengths with which springs were tried; they hold nothing unless they are stronger."""
-    tried: list[float] = []
-    solve = solver.Newton._solve
+class FailsWhileWeak:
+    """Fails solves with weak springs, and notes the stabilization factor of all."""
 
-    def only_stronger(newton: solver.Newton, margin: float, report: NewtonReport) -> None:
-        tried.append(newton.problem.stabilization.factor)
-        if newton.problem.stabilization.factor == 1.0:
+    def __init__(self) -> None:
+        self.factors: list[float] = []
+
+    def __call__(self, problem: Problem) -> None:
+        self.factors.append(problem.stabilization.factor)
+        if problem.stabilization.factor == 1.0:
             raise SolveError("it flies to and fro")
-        solve(newton, margin, report)
-
-    monkeypatch.setattr(solver.Newton, "_solve", only_stronger)
-    return tried
 
 
-def test_what_weak_springs_do_not_hold_stronger_ones_do_from_then_on(weak: list[float]) -> None:
-    history = run(block(), MPI.COMM_SELF).history
-    assert weak == [1.0, *[springs.STRONGER] * 3]
-    assert not any(row["cutbacks"] for row in history)
+def test_springs_are_stiffer_once_weak_ones_have_failed() -> None:
+    weak = FailsWhileWeak()
+    with stepper_of(block(), MPI.COMM_SELF, weak) as stepper:
+        found = [stepper.advance(step, lambda part: None) for step in steps(block().load)]
+    assert weak.factors == [1.0, *[stabilization.STIFFER] * 3]
+    assert not any(report.cutbacks for report in found)
 
 
-def test_many_loose_parts_have_stronger_springs_from_the_start(
-    weak: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(springs, "MANY", 1)
-    run(block(), MPI.COMM_SELF)
-    assert weak == [springs.STRONGER] * 3
+def test_many_unconstrained_bodies_have_stiffer_springs_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stabilization, "MANY_BODIES", 1)
+    weak = FailsWhileWeak()
+    with stepper_of(block(), MPI.COMM_SELF, weak) as stepper:
+        for step in steps(block().load):
+            stepper.advance(step, lambda part: None)
+    assert weak.factors == [stabilization.STIFFER] * 3
 
 
 @pytest.mark.mpi
-def test_stronger_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stiffer_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = run(block(), comm).history
-    stronger = springs.STRONGER * stabilization_stiffness.RELATIVE_STIFFNESS
+    stronger = stabilization.STIFFER * stabilization_stiffness.RELATIVE_STIFFNESS
     monkeypatch.setattr(stabilization_stiffness, "RELATIVE_STIFFNESS", stronger)
     for held, row in zip(run(block(), comm).history, weak, strict=True):
         assert held["force_y@lid"] == pytest.approx(row["force_y@lid"], rel=1e-5)
-        assert 50 * row["stabilization"] < held["stabilization"] < springs.WORK * held["elastic"]
+        assert 50 * row["stabilization"] < held["stabilization"] < stabilization.LARGEST_ENERGY_SHARE * held["elastic"]
 
 
-def test_springs_that_would_bear_a_part_of_the_load_are_no_solution(
-    weak: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(springs, "STRONGER", 1e6)
-    scene: dict[str, Any] = block().model_dump(exclude_unset=True) | {"solver": {"max_cutbacks": 1}}
-    with pytest.raises(NotConverged, match=r"too much of the energy|to and fro"):
-        run(Scene(**scene), MPI.COMM_SELF)
-    assert set(weak) == {1.0, 1e6}
+def test_springs_that_take_energy_are_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stabilization, "STIFFER", 1e6)
+    scene, weak = Scene(**block().model_dump(exclude_unset=True) | {"solver": {"max_cutbacks": 1}}), FailsWhileWeak()
+    with (
+        stepper_of(scene, MPI.COMM_SELF, weak) as stepper,
+        pytest.raises(SolveError, match=r"too much of the energy|to and fro"),
+    ):
+        stepper.advance(next(steps(scene.load)), lambda part: None)
+    assert set(weak.factors) == {1.0, 1e6}

@@ -1,4 +1,4 @@
-"""The coarse space of loose bodies: it holds their rigid motions, and the bodies slide on each other."""
+"""Coarse space of unconstrained bodies: it contains their rigid motions, and the bodies slide on each other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from piezomat.discretization.rigid_bodies import rigid_modes
 from piezomat.meshes.body_mesh import create
 from piezomat.scene import Scene
 from piezomat.simulation import run
-from piezomat.solver import coarse_space as boxes
+from piezomat.solver import coarse_space
 from piezomat.usage import Timer
 
 
@@ -55,7 +55,7 @@ def test_the_coarse_space_holds_rigid_motions_of_each_body(comm: MPI.Comm) -> No
     free = Scene(**{**scene.model_dump(exclude_unset=True), "boundaries": []})
     model = Model(free, create(comm, free.geometry, free.sizes))
     problem = Problem(model, interfaces_of(model), Timer())
-    coarse = boxes.interpolation(model, problem.bulk_stiffness())
+    coarse = coarse_space.interpolation(model, problem.bulk_stiffness())
     assert coarse.size[1] < 0.5 * coarse.size[0]
     ksp = _conjugate_gradients(coarse.transposeMatMult(coarse))  # of the normal equations: the nearest coarse function
     for part in range(2):
@@ -94,8 +94,8 @@ def test_krylov_iterations_do_not_grow_with_the_number_of_bodies(comm: MPI.Comm,
 
 
 def test_a_scene_may_choose_another_multigrid(monkeypatch: pytest.MonkeyPatch) -> None:
-    boxed = run(pile(2, kind="iterative"), MPI.COMM_SELF).history[-1]
-    monkeypatch.setattr(boxes, "interpolation", None)  # what is not called cannot fail
+    aggregated = run(pile(2, kind="iterative"), MPI.COMM_SELF).history[-1]
+    monkeypatch.setattr(coarse_space, "interpolation", None)  # what is not called cannot fail
     found = run(pile(2, kind="iterative", petsc={"pc_type": "gamg"}), MPI.COMM_SELF).history[-1]
     assert np.isfinite(found["force_z@lid"])
-    assert found["force_z@lid"] == pytest.approx(boxed["force_z@lid"], rel=1e-6)
+    assert found["force_z@lid"] == pytest.approx(aggregated["force_z@lid"], rel=1e-6)

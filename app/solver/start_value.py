@@ -1,0 +1,76 @@
+"""Start value of Newton's method: one linear step from the converged state that takes up the prescribed change.
+
+Without it a boundary would jump while the rest stays, and the first residual would be that of a torn body. With u the
+free and v the prescribed unknowns, K the tangent and R the residual at the converged state, the step solves
+
+    K_uu du = -R_u - K_uv dv,   dv = prescribed values - v.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from piezomat.assembly.problem import Problem
+from piezomat.solver.active_set_prediction import ActiveSetPrediction
+from piezomat.solver.convergence import Convergence, require_linear_solve
+from piezomat.solver.linear import LinearSolver
+from piezomat.solver.outcome import NewtonReport
+
+
+class StartValue:
+    """Takes one linear step of a problem to its load level. Every method is collective."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        linear: LinearSolver,
+        snes: PETSc.SNES,
+        convergence: Convergence,
+        prediction: ActiveSetPrediction,
+    ) -> None:
+        self.problem = problem
+        self.linear = linear
+        self.snes = snes
+        self.convergence = convergence
+        self.prediction = prediction
+        self._right = problem.state.duplicate()
+        self._change = problem.state.duplicate()
+
+    def step(self, report: NewtonReport, *, closely: bool = False) -> None:
+        """Change the problem's state by the solution of the tangent there; SolveError where the linear solve fails.
+
+        closely: with the close tolerance of a Krylov solver, not that of a start value.
+        """
+        problem, right, step = self.problem, self._right, self._change
+        fixed = problem.model.constraints.fixed
+        problem.residual(problem.state, right)
+        right.scale(-1.0)
+        prescribed = problem.prescribed_change()
+        self.linear.linearize(problem.state)
+        problem.multiply(prescribed, step)
+        right.axpy(-1.0, step)
+        right.array[fixed] = 0.0
+        self.convergence.add_reference(right)
+        right.array[fixed] = prescribed.array_r[fixed]
+        self._solve(self.linear.close_tolerance if closely else self.linear.start_tolerance)
+        report.iterations += 1
+        report.krylov += self.snes.getKSP().getIterationNumber()
+        if self.prediction.is_cheap:
+            # From here on contact alone is out of balance: its prediction takes no solve inside the bodies.
+            right.waxpy(1.0, step, problem.state)
+            self.linear.condensation.start(right)
+        self.prediction.correct(problem.state, step, 1.0, report)
+        problem.state.axpy(1.0, step)
+        problem.state.array[fixed] = problem.prescribed_values
+
+    def _solve(self, tolerance: float | None) -> None:
+        ksp, inexact = self.snes.getKSP(), self.snes.getUseEW()
+        ksp.setOperators(*self.linear.operators)
+        if tolerance is not None:
+            # Eisenstat and Walker's rule is for Newton's steps, and would change the tolerance of this solve too.
+            self.snes.setUseEW(False)
+            ksp.setTolerances(rtol=tolerance)
+        with self.problem.timer("linear_solve"):
+            ksp.solve(self._right, self._change)
+        self.snes.setUseEW(inexact)
+        require_linear_solve(ksp, self.linear.failure)

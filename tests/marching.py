@@ -1,0 +1,52 @@
+"""Load steps of a scene with the solver at hand: for tests of reports, and of solves that fail on purpose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from mpi4py import MPI
+
+from piezomat.assembly.problem import Problem
+from piezomat.contact.setup import interfaces_of
+from piezomat.discretization.model import Model
+from piezomat.meshes.body_mesh import create
+from piezomat.scene import Scene
+from piezomat.solver.load_steps import Stepper, StepReport, steps
+from piezomat.solver.newton import Newton
+from piezomat.solver.outcome import NewtonReport
+from piezomat.usage import Timer
+
+
+class Watched:
+    """Newton's method of a problem, and what a test does before each of its solves: count, or raise SolveError."""
+
+    def __init__(self, newton: Newton, before: Callable[[Problem], None]) -> None:
+        self.newton = newton
+        self.before = before
+
+    def solve(self, margin: float, report: NewtonReport) -> None:
+        """See `Newton.solve`."""
+        self.before(self.newton.problem)
+        self.newton.solve(margin, report)
+
+
+@contextmanager
+def stepper_of(
+    scene: Scene, comm: MPI.Comm, before: Callable[[Problem], None] = lambda problem: None
+) -> Iterator[Stepper]:
+    """A stepper for the scene, `before` being called before each of its solves. Collective."""
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    problem = Problem(model, interfaces_of(model), Timer())
+    newton = Newton(problem, scene.solver)
+    try:
+        yield Stepper(problem, Watched(newton, before), scene.solver.max_cutbacks)
+    finally:
+        newton.close()
+        problem.close()
+
+
+def reports(scene: Scene, comm: MPI.Comm) -> list[StepReport]:
+    """The report of each load step. Collective; raises SolveError."""
+    with stepper_of(scene, comm) as stepper:
+        return [stepper.advance(step, lambda part: None) for step in steps(scene.load)]
