@@ -17,30 +17,36 @@ from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import NewtonReport
 from piezomat.usage import Timer
 
+Hook = Callable[[Problem], None]
+
+
+def nothing(problem: Problem) -> None:
+    """Do nothing."""
+
 
 class Watched:
-    """Newton's method of a problem, and what a test does before each of its solves: count, or raise SolveError."""
+    """Newton's method of a problem, and what a test does before and after each solve: count, or raise SolveError."""
 
-    def __init__(self, newton: Newton, before: Callable[[Problem], None]) -> None:
+    def __init__(self, newton: Newton, before: Hook, after: Hook) -> None:
         self.newton = newton
         self.before = before
+        self.after = after
 
     def solve(self, margin: float, report: NewtonReport) -> None:
         """See `Newton.solve`."""
         self.before(self.newton.problem)
         self.newton.solve(margin, report)
+        self.after(self.newton.problem)
 
 
 @contextmanager
-def stepper_of(
-    scene: Scene, comm: MPI.Comm, before: Callable[[Problem], None] = lambda problem: None
-) -> Iterator[Stepper]:
-    """A stepper for the scene, `before` being called before each of its solves. Collective."""
+def stepper_of(scene: Scene, comm: MPI.Comm, before: Hook = nothing, after: Hook = nothing) -> Iterator[Stepper]:
+    """A stepper for the scene; `before` and `after` are called around each of its solves. Collective."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     problem = Problem(model, interfaces_of(model), Timer())
     newton = Newton(problem, scene.solver)
     try:
-        yield Stepper(problem, Watched(newton, before), scene.solver.max_cutbacks)
+        yield Stepper(problem, Watched(newton, before, after), scene.solver.max_cutbacks)
     finally:
         newton.close()
         problem.close()

@@ -36,6 +36,58 @@ def pressed(dimension: int, **changes: Any) -> Scene:
     return Scene(**{**keys, **changes})
 
 
+def blocks(**changes: Any) -> Scene:
+    """Two blocks of 1 x 0.5 um on each other, the upper one guided sideways."""
+    keys: dict[str, Any] = {
+        "geometry": {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 3], [4, 4]]},
+        "materials": {"soft": {"young": 1000.0, "poisson": 0.3}},
+        "bodies": {"lower": "soft", "upper": "soft"},
+        "boundaries": [
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, "free"], "traction": [0, -1.0]},
+        ],
+        "contact": {},
+    }
+    return Scene(**{**keys, **changes})
+
+
+def facing_halves(penalty: float, steps: int = 5, **contact: Any) -> Scene:
+    """The half discs of the issue on stiff contact: 15,000 unknowns, pressed by 0.05 um."""
+    return Scene(
+        geometry={"shape": "facing_halves"},
+        mesh={"size": 0.038, "contact_size": 0.008, "size_factors": {"upper": 0.9}},
+        bodies={"lower": "pvdf", "upper": "pvdf"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {"on": "top", "displacement": [0, -0.05], "follows": "press"},
+        ],
+        contact={"normal_penalty": penalty, "electric_penalty": 0.1, **contact},
+        load={"steps": [steps], "factors": {"press": [1.0]}},
+    )
+
+
+def strongly_coupled(voltage: float, size: float = 0.02, **contact: Any) -> Scene:
+    """Half discs of PZT-5H between electrodes that a traction presses together: nothing but contact holds the upper."""
+    return Scene(
+        geometry={"shape": "facing_halves"},
+        mesh={"size": 0.12, "contact_size": size, "size_factors": {"upper": 0.9}},
+        bodies={"lower": "pzt5h", "upper": "pzt5h"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0], "potential": 0},
+            {
+                "on": "top",
+                "displacement": [0, "free"],
+                "traction": [0, -40],
+                "potential": voltage,
+                "follows": "press",
+            },
+        ],
+        contact=contact,
+        load={"steps": [4], "factors": {"press": [1]}},
+        output={"fields": "none", "picture": False},
+    )
+
+
 def along(value: float, dimension: int) -> list[Any]:
     """A displacement that prescribes the last component alone."""
     return [*["free"] * (dimension - 1), value]

@@ -11,7 +11,9 @@ from mpi4py import MPI
 from piezomat.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver import active_set_prediction
+from scripts.studies.mats import CHEAP, COARSE, STEPS, mat, value
 from tests.marching import reports
+from tests.scenes import facing_halves, press
 
 
 def pressed(**changes: Any) -> Scene:
@@ -69,3 +71,66 @@ def test_a_projection_at_a_vertex_of_the_master_does_not_stall() -> None:
         ]
         history = run(pressed(boundaries=boundaries, solver={}), MPI.COMM_SELF).history
         assert all(row["cutbacks"] == 0 and row["newton"] <= 9 for row in history)
+
+
+@pytest.mark.parametrize(
+    ("passes", "penalty", "force"),
+    [
+        (1, 1e4, -32.316),
+        (1, 1e5, -45.255),
+        (1, 1e6, -47.162),
+        (1, 1e7, -47.354),
+        (1, 1e8, -47.372),
+        (2, 1e4, -32.351),
+        (2, 1e5, -45.263),
+        (2, 1e6, -47.174),
+        (2, 1e7, -47.369),
+        (2, 1e8, -47.390),
+    ],
+)
+def test_no_penalty_is_too_stiff_or_too_soft(passes: int, penalty: float, force: float) -> None:
+    """Far from equilibrium the tangent was indefinite, and steps were cut or took twenty iterations.
+
+    Tractions turned with their facets, and the electric contact pulled at surfaces beyond the edge of the contact. And
+    steps closed points that the next ones opened again, two at a time: ten iterations at the stiffest penalty.
+    """
+    history = run(facing_halves(penalty, passes=passes), MPI.COMM_SELF).history
+    assert all(row["cutbacks"] == 0 for row in history)
+    assert sum(row["newton"] for row in history) <= 5.5 * len(history)
+    assert history[-1]["force_y@top"] == pytest.approx(force, rel=1e-4)
+    one = run(facing_halves(penalty, steps=1, passes=passes), MPI.COMM_SELF).history[-1]
+    assert one["force_y@top"] == pytest.approx(force, rel=1e-4)
+
+
+def test_fine_curved_facets_far_inside_each_other_neither_scallop_nor_slide_about() -> None:
+    """Order 2, penetration of two thirds of a facet, pressures of a tenth of the modulus: 8 iterations a step at most.
+
+    With three points a facet, which load vertices and side nodes unevenly, the last two steps took 46 and 25.
+    """
+    history = run(
+        press(
+            {"shape": "facing_halves"},
+            mesh={"size": 0.12, "contact_size": 0.004, "order": 2, "size_factors": {"upper": 0.9}},
+            bodies={"lower": "elastic", "upper": "elastic"},
+            boundaries=[
+                {"on": "bottom", "displacement": [0, 0]},
+                {"on": "top", "displacement": [0, -0.05], "follows": "press"},
+            ],
+            contact={"normal_penalty": 1e5},
+            load={"steps": [5], "factors": {"press": [1.0]}},
+        ),
+        MPI.COMM_SELF,
+    ).history
+    assert max(row["newton"] for row in history) <= 8 and not any(row["cutbacks"] for row in history)
+    assert history[-1]["max_penetration@lower-upper"] > 0.6 * 0.004
+
+
+@pytest.mark.parametrize(("count", "seed"), [(6, 3), (30, 2)])
+def test_loose_fibers_do_not_swing_in_the_pull_of_potentials(count: int, seed: int) -> None:
+    """The tangent was indefinite where only the fading electric contact pulls on a fiber: steps of no length, cuts."""
+    keys = mat(count, seed, steps=1, finer=COARSE) | CHEAP
+    keys |= {"load.factors.press": [1.0 / STEPS], "solver.kind": "direct"}
+    scene = Scene.load("random_mat", [f"{key}={value(thing)}" for key, thing in keys.items()])
+    (last,) = run(scene, MPI.COMM_SELF).history
+    assert last["cutbacks"] == 0 and last["newton"] <= 25
+    assert last["force_z@lid"] < -1.0 and last["stabilization"] < 1e-3 * last["elastic"]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+
+import numpy as np
 import pytest
 from mpi4py import MPI
 
 from piezomat.assembly import stabilization_stiffness
 from piezomat.assembly.problem import Problem
 from piezomat.scene import Scene
-from piezomat.simulation import run
+from piezomat.simulation import NotConverged, run
 from piezomat.solver import stabilization
 from piezomat.solver.load_steps import steps
 from piezomat.solver.outcome import SolveError
 from tests.marching import stepper_of
-from tests.scenes import press
+from tests.scenes import blocks, press
 
 
 def block() -> Scene:
@@ -108,3 +111,76 @@ def test_springs_that_take_energy_are_no_solution(monkeypatch: pytest.MonkeyPatc
     ):
         stepper.advance(next(steps(scene.load)), lambda part: None)
     assert set(weak.factors) == {1.0, 1e6}
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.01])
+def test_a_traction_presses_a_body_that_only_contact_holds(gap: float) -> None:
+    """The weak springs of the floating block let it fly through the other one."""
+    geometry = {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 3], [4, 4]], "gap": gap}
+    last = run(blocks(geometry=geometry), MPI.COMM_SELF).history[-1]
+    assert last["contact_force_y@lower-upper"] == pytest.approx(-1.0, rel=1e-5)
+    assert last["force_y@bottom"] == pytest.approx(1.0, rel=1e-5)
+    assert last["newton"] <= 4  # with the inside held where nothing is in balance yet it took 40
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.05])
+def test_no_block_of_a_pile_leaps_through_the_next(gap: float) -> None:
+    """Springs ten times weaker threw four blocks through the lowest: contact was lost, and then they flew."""
+    names = [f"block_{i}" for i in range(1, 6)]
+    scene = blocks(
+        geometry={
+            "shape": "stacked_blocks",
+            "height": [0.3] * 5,
+            "divisions": [[3, 2], [4, 2], [5, 2], [3, 2], [4, 2]],
+            "gap": gap,
+        },
+        mesh={"cells": "tensor", "order": 2},
+        bodies=dict.fromkeys(names, "soft"),
+    )
+    last = run(scene, MPI.COMM_SELF).history[-1]
+    for lower, upper in itertools.pairwise(names):
+        assert last[f"contact_force_y@{lower}-{upper}"] == pytest.approx(-1.0, rel=1e-3)
+
+
+def test_a_load_that_nothing_holds_is_said() -> None:
+    boundaries = [
+        {"on": "bottom", "displacement": [0, 0]},
+        {"on": "top", "displacement": [0, "free"], "traction": [0, 1.0]},
+    ]
+    with pytest.raises(NotConverged, match=r"nothing holds|flies away"):
+        run(blocks(boundaries=boundaries, solver={"max_cutbacks": 1}), MPI.COMM_SELF)
+
+
+def test_the_spring_of_a_soft_floating_body_is_soft() -> None:
+    """Springs scaled by the stiffest body held a soft one between two stiff ones: forces did not balance."""
+    scene = blocks(
+        geometry={"shape": "stacked_blocks", "height": [0.5, 0.5, 0.5], "divisions": [[2, 2], [3, 2], [2, 2]]},
+        materials={"steel": {"young": 2e5, "poisson": 0.0}, "soft": {"young": 1.0, "poisson": 0.0}},
+        bodies={"block_1": "steel", "block_2": "soft", "block_3": "steel"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, -0.01]},
+        ],
+    )
+    last = run(scene, MPI.COMM_SELF).history[-1]
+    lower, upper = last["contact_force_y@block_1-block_2"], last["contact_force_y@block_2-block_3"]
+    assert lower == pytest.approx(upper, rel=1e-5) and lower == pytest.approx(-0.02, rel=0.2)
+
+
+def test_no_body_stays_where_a_wild_step_threw_it() -> None:
+    """A block that Newton's method threw sideways stayed there: weak springs let it, and the forces balanced."""
+    times = iter([0.45])
+
+    def throw(problem: Problem) -> None:
+        unknowns = problem.model.unknowns
+        upper = unknowns.coordinates[: unknowns.owned, 1] > 0.0
+        problem.state.array.reshape(-1, 2)[upper, 0] += next(times, 0.0)
+
+    geometry = {"shape": "stacked_blocks", "height": [0.5, 0.3], "divisions": [[3, 3], [4, 2]]}
+    scene = blocks(geometry=geometry, solver={"max_cutbacks": 0})
+    with stepper_of(scene, MPI.COMM_SELF, after=throw) as stepper:
+        problem = stepper.problem
+        stepper.advance(next(steps(scene.load)), lambda part: None)
+        moved = problem.model.unknowns.displacements(problem.state)
+        assert next(times, None) is None and np.abs(moved).max() < 0.01
+        assert problem.stabilization.load_share(problem.state, problem.loads.vector) < stabilization.LARGEST_LOAD_SHARE
