@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact import interfaces
+from piezomat.contact import search
 from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.scenes import facing_halves
@@ -13,7 +13,7 @@ from tests.scenes import facing_halves
 
 def test_a_point_that_has_left_its_facet_is_looked_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Late in a solve points keep facets that they have left, and the end of the solve was taken for equilibrium."""
-    monkeypatch.setattr(interfaces, "KEEP", ((0, 5.0),))
+    monkeypatch.setattr(search, "PROJECTION_TOLERANCES", ((0, 5.0),))
     boundaries = [
         {"on": "bottom", "displacement": [0, 0], "potential": 0},
         {"on": "top", "displacement": [0.03, -0.02]},
