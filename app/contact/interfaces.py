@@ -19,7 +19,7 @@ from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
-from piezomat.forms.contact.augmentation import corner_kind
+from piezomat.forms.contact.facets import corner_kind
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.global_search import share_facets
 

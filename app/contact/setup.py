@@ -16,7 +16,7 @@ from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
-from piezomat.forms.contact.augmentation import corner_kind
+from piezomat.forms.contact.facets import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance

@@ -1,12 +1,12 @@
-"""Augmented Lagrangian: multipliers that take gap and potential jump of a penalty away, found by Uzawa's steps.
+"""Augmented Lagrangian: multipliers that remove the penetration and the potential jump of a penalty (Uzawa's method).
 
-The law is asked at gap + a and jump + b in the place of gap and jump: with the penalties k and rho, k a is the
-multiplier of the gap (a pressure, MPa) and rho b that of the jump (a charge, pC/um2). Between two solutions of the
-equilibrium a and b take in what gap and jump are left, until nothing is (Alart and Curnier 1991; Wriggers 2006).
+The law is evaluated at gap + a and jump + b. With the penalties k and rho, k a is the multiplier of the gap (a
+pressure, MPa) and rho b that of the jump (a charge, pC/um2). Between two solutions of the equilibrium the remaining gap
+and jump are added to a and b, until they vanish (Alart and Curnier 1991; Wriggers 2006).
 
-a and b belong to the corners of slave facets, with linear functions N in between, and take in means weighted with N.
-As many multipliers as integration points would ask two meshes that do not match for more than they can do: surfaces
-lock and pressures oscillate (Puso and Laursen 2004).
+a and b are values at the corners of slave facets, interpolated by linear functions N; their increments are means
+weighted with N. One multiplier per integration point over-constrains non-matching meshes: surfaces lock and pressures
+oscillate (Puso and Laursen 2004).
 """
 
 from __future__ import annotations
@@ -17,48 +17,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.facets import FacetKind, corner_kind
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
 
 
 @dataclass
 class Multipliers:
-    """What is added to gap, um, never positive, and to potential jump, V, at the corners (f, k) of slave facets."""
+    """Multipliers over penalties at corners (f, k) of slave facets: additions to the gap (um, <= 0) and jump (V)."""
 
     gap: Array
     jump: Array
 
     @classmethod
     def none(cls, kind: FacetKind, facets: int) -> Multipliers:
-        """Penalties alone."""
+        """Zero multipliers."""
         corners = len(corner_kind(kind).nodes)
         return cls(np.zeros((facets, corners)), np.zeros((facets, corners)))
 
     def copy(self) -> Multipliers:
-        """A shift of its own."""
+        """Copy that shares no array."""
         return Multipliers(self.gap.copy(), self.jump.copy())
 
     def at(self, kind: FacetKind, facet: NDArray[np.int64], xi: Array) -> tuple[Array, Array]:
-        """Shifts of gap and jump (m,) at points of facets."""
+        """Additions (m,) to gap and jump at points xi (m, t) of facets (m,)."""
         shape = corner_kind(kind).shape(xi)
         return np.einsum("mk,mk->m", shape, self.gap[facet]), np.einsum("mk,mk->m", shape, self.jump[facet])
 
     def augmented(self, sums: Array) -> Multipliers:
-        """The shift after one of Uzawa's steps.
+        """Multipliers after one step of Uzawa's method.
 
-        sums (f, k, 4): over the points that meet something, weight times N times 1, gap, s and s times jump, s being
-        the share of the electric contact. Where it fades out, s < 1, jumps that carry rho s/(1 - s) jump are the end
-        of this, so that equal potentials are their limit as surfaces come near.
+        sums (f, k, 4): over the projected points, weight times N times 1, gap, s, and s times jump, where s is the
+        share of the electric contact. Where it fades out, s < 1, the steps converge to a jump with the charge
+        rho s/(1 - s) jump, so that equal potentials are the limit as surfaces approach.
         """
         weight = sums[..., 0]
         gap, share, jump = np.moveaxis(sums[..., 1:] / np.where(weight > 0.0, weight, 1.0)[..., None], -1, 0)
         return Multipliers(np.where(weight > 0.0, np.minimum(self.gap + gap, 0.0), 0.0), share * self.jump + jump)
-
-
-def corner_kind(kind: FacetKind) -> FacetKind:
-    """The facet of order 1 on a facet's corners, which are its first nodes."""
-    return facet_kind("line2" if kind.dim == 1 else "tri3" if kind.simplex else "quad4")
 
 
 def augmented_response(
@@ -71,7 +66,10 @@ def augmented_response(
     attraction: bool = True,
     consistent: bool = True,
 ) -> Response:
-    """The law's response with multipliers: derivatives of its enthalpy less what the multipliers store, pJ/um2."""
+    """Response at gaps and jumps (m,) with multipliers, without the energy that they store; see `InterfaceLaw.respond`.
+
+    shift: additions (m,) to gap and jump, `Multipliers.at`
+    """
     more_gap, more_jump = shift
     shifted = None if jump is None else jump + more_jump
     r = law.respond(gap + more_gap, shifted, history, attraction=attraction, consistent=consistent)
@@ -82,7 +80,7 @@ def augmented_response(
 
 
 def electric_share(law: InterfaceLaw, response: Response) -> Array:
-    """Share s (m,) of the electric contact in a response."""
+    """Share s (m,) of the full electric contact that a response has."""
     if law.electric_penalty is None:
         return np.zeros_like(response.slope)
     rho = law.electric_penalty

@@ -16,17 +16,18 @@ _SQUARE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
 _SQUARE2 = [*_SQUARE, (0.5, 0.0), (0.0, 0.5), (1.0, 0.5), (0.5, 1.0), (0.5, 0.5)]
 
 
-# Points of a line of order 2. With three, what they miss of the other side's facets loads its vertices and side nodes
-# unevenly: at pressures of a tenth of the modulus fine surfaces scallop, bodies slide about, and nothing converges.
+# Gauss points of a line of order 2. With three, the quadrature error on the other side's facets loads its vertices and
+# side nodes unevenly: at pressures of a tenth of the modulus fine surfaces become wavy, bodies slide, and Newton's
+# method does not converge.
 CURVED_LINE = 6
 
 
 @dataclass(frozen=True)
 class FacetKind:
-    """A Lagrange facet: nodes (n, t) on the reference facet and the monomials that span its functions.
+    """Lagrange facet on the unit interval, triangle or square.
 
-    Nodes are in DOLFINx (Basix) order: vertices, edges, interior. Reference domains are the unit interval,
-    triangle and square.
+    nodes (n, t): reference coordinates in DOLFINx (Basix) order: vertices, edges, interior; powers (n, t): exponents of
+    the monomials; coefficients (n, n): shape functions in terms of the monomials; simplex: whether it is no square.
     """
 
     name: str
@@ -56,7 +57,7 @@ class FacetKind:
         return 1 if self.name in ("line2", "tri3", "quad4") else 2
 
     def shape(self, xi: Array, derivative: tuple[int, ...] = ()) -> Array:
-        """Shape functions (m, n) at points xi (m, t), differentiated along the given axes."""
+        """Shape functions (m, n) at points xi (m, t), or their derivative along these axes."""
         powers = self.powers.copy()
         factor = np.ones(len(powers))
         for axis in derivative:
@@ -70,12 +71,12 @@ class FacetKind:
         return monomials @ self.coefficients
 
     def overshoot(self, xi: Array) -> Array:
-        """How far points xi (m, t) lie outside the reference facet, in reference lengths; negative inside."""
+        """Distance (m,) of points xi (m, t) beyond the sides of the reference facet; negative inside."""
         upper = 1.0 - (xi.sum(axis=1, keepdims=True) if self.simplex else xi)
         return -np.minimum(xi.min(axis=1), upper.min(axis=1))
 
     def clamp(self, xi: Array, metric: Array) -> Array:
-        """The points of the reference facet nearest to points xi (m, t) in a metric (m, t, t) each."""
+        """Points (m, t) of the reference facet nearest to points xi (m, t), each in its metric (m, t, t)."""
         if self.dim == 1:
             return np.clip(xi, 0.0, 1.0)
         nearest = xi.copy()
@@ -91,7 +92,7 @@ class FacetKind:
         return nearest
 
     def quadrature(self) -> tuple[Array, Array]:
-        """Points (m, t) and weights (m) of the rule for `point` contact: exact for degree 2 p + 1 or so."""
+        """Points (m, t) and weights (m,) of the Gauss rule for `point` contact, of degree about 2 p + 1."""
         if self.simplex and self.dim == 2:
             return triangle_rule(self.order)
         x, w = np.polynomial.legendre.leggauss(CURVED_LINE if self.name == "line3" else self.order + 1)
@@ -120,7 +121,7 @@ class Facets:
 
 
 class FacetMaps:
-    """The maps of facets with nodes (m, n, d) as polynomials: each is cheap to evaluate at a point of its own."""
+    """Maps of facets with nodes (m, n, d) as polynomials, each evaluated at one point."""
 
     def __init__(self, kind: FacetKind, nodes: Array) -> None:
         self._kind = kind
@@ -149,7 +150,7 @@ class FacetMaps:
 
 
 def triangle_rule(order: int) -> tuple[Array, Array]:
-    """Symmetric rules of Strang and Fix (1973): 3 points of degree 2, 6 points of degree 4."""
+    """Points (q, 2) and weights (q,), Strang and Fix (1973): order 1: 3 points, degree 2; order 2: 6, degree 4."""
     if order == 1:
         return np.array([[1, 1], [4, 1], [1, 4]]) / 6.0, np.full(3, 1.0 / 6.0)
     a, b = 0.445948490915965, 0.091576213509771
@@ -159,7 +160,7 @@ def triangle_rule(order: int) -> tuple[Array, Array]:
 
 @cache
 def facet_kind(name: str) -> FacetKind:
-    """The facet kind of that name: line2, line3, tri3, tri6, quad4 or quad9."""
+    """Facet kind by name: line2, line3, tri3, tri6, quad4 or quad9."""
     nodes, powers = {
         "line2": (_LINE[:2], [(0,), (1,)]),
         "line3": (_LINE, [(0,), (1,), (2,)]),
@@ -174,7 +175,7 @@ def facet_kind(name: str) -> FacetKind:
 
 
 def facet_kind_of(cell_type: str, order: int) -> FacetKind:
-    """The kind of the facets of a cell: triangle, quadrilateral, tetrahedron or hexahedron of order 1 or 2."""
+    """Kind of the facets of a triangle, quadrilateral, tetrahedron or hexahedron of order 1 or 2."""
     names = {
         "triangle": ("line2", "line3"),
         "quadrilateral": ("line2", "line3"),
@@ -182,3 +183,8 @@ def facet_kind_of(cell_type: str, order: int) -> FacetKind:
         "hexahedron": ("quad4", "quad9"),
     }
     return facet_kind(names[cell_type][order - 1])
+
+
+def corner_kind(kind: FacetKind) -> FacetKind:
+    """Kind of order 1 on the corners of a facet, which are its first nodes."""
+    return facet_kind("line2" if kind.dim == 1 else "tri3" if kind.simplex else "quad4")

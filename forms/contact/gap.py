@@ -18,16 +18,20 @@ from numpy.typing import NDArray
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, FacetMaps
 
-CURVED_ITERATIONS = 20
-CLOSEST_POINT_TOLERANCE = 1e-13
+CURVED_ITERATIONS = 20  # largest number of Newton iterations to the closest point of a curved facet
+CLOSEST_POINT_TOLERANCE = 1e-13  # of the last step, in reference lengths
 
 
 @dataclass
 class Projection:
-    """Closest points of m slave points on their master facets with nodes (m, n, d).
+    """Closest points of m slave points, each on its master facet.
 
-    xi (m, t), gap (m,), normal (m, d) outward from the master, tangents (m, t, d), second (m, t, t, d) = x_,ab
-    (zero on affine facets), curvature (m, t, t) = n . x_,ab.
+    nodes (m, n, d): of the master facets, um
+    xi (m, t): closest points in reference coordinates
+    gap (m,): signed distance along the normal, um
+    normal (m, d): outward unit normal of the master
+    tangents (m, t, d): x_,a; second (m, t, t, d): x_,ab, zero on affine facets
+    curvature (m, t, t): n . x_,ab
     """
 
     nodes: Array
@@ -43,7 +47,7 @@ class Projection:
 
 
 def _at(kind: FacetKind, xi: Array, values: Array, *derivative: int) -> Array:
-    """Nodal values (m, n, ...) of each facet, or a derivative of them, at its own point xi (m, t)."""
+    """Nodal values (m, n, ...), or their derivative, of each facet at its point xi (m, t)."""
     return np.einsum("mk,mk...->m...", kind.shape(xi, derivative), values)
 
 
@@ -58,7 +62,7 @@ def _hessian(kind: FacetKind, xi: Array, values: Array, *derivative: int) -> Arr
 
 
 def facet_normal(tangents: Array, orientation: Array) -> Array:
-    """Unit normals (m, d) from tangents (m, t, d), times the orientation (m,) that makes them point outward."""
+    """Unit normals (m, d) of tangents (m, t, d), times the orientation (m,), which turns them outward."""
     if tangents.shape[2] == 2:
         t = tangents[:, 0]
         normal = np.stack([t[:, 1], -t[:, 0]], axis=1)
@@ -68,7 +72,7 @@ def facet_normal(tangents: Array, orientation: Array) -> Array:
 
 
 def point_normals(kind: FacetKind, xi: Array, nodes: Array, orientation: Array) -> Array:
-    """Outward normals (m, d) of facets with nodes (m, n, d), each at its own point xi (m, t)."""
+    """Outward unit normals (m, d) of facets with nodes (m, n, d), each at its point xi (m, t)."""
     return facet_normal(_gradient(kind, xi, nodes), orientation)
 
 
@@ -80,10 +84,13 @@ def project(
     xi: Array | None = None,
     iterations: int = CURVED_ITERATIONS,
 ) -> Projection:
-    """Closest points of `points` (m, d) on facets with current `nodes` (m, n, d), not limited to the facet.
+    """Closest point of each point (m, d), um, on one facet with current nodes (m, n, d), not limited to the facet.
 
-    `xi` starts the iteration on curved facets (default: the middle). Newton's method on the squared distance, with
-    the curvature term left out where it would lose the minimum; `iterations` bounds it.
+    Newton's method on the squared distance, without the curvature term where it would not lead to a minimum.
+
+    orientation (m,): +1 or -1, the sign that turns the facet's normal outward
+    xi (m, t): start on curved facets, default the middle
+    iterations: their largest number on curved facets
     """
     xi = np.tile(kind.middle, (len(points), 1)) if xi is None else np.array(xi, float)
     axes, maps = range(kind.dim), FacetMaps(kind, nodes)
@@ -135,7 +142,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def _least_eigenvalue(matrix: Array) -> Array:
-    """Of symmetric matrices (1, 1, m) or (2, 2, m)."""
+    """Least eigenvalues (m,) of symmetric matrices (1, 1, m) or (2, 2, m)."""
     if len(matrix) == 1:
         return matrix[0, 0]
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])
@@ -144,10 +151,11 @@ def _least_eigenvalue(matrix: Array) -> Array:
 
 @dataclass
 class Variations:
-    """Vectors over the unknowns of a pair that span the variations of gap and jump, and matrices between them.
+    """Variations of gap and potential jump of m pairs, in terms of a few vectors over the pair's unknowns.
 
-    rows (m, r, n_pair, c): r vectors over the pair's n_pair nodes (slave nodes first) with c unknowns each.
-    gap, jump (m, r): the first variations in terms of the rows. gap2, jump2 (m, r, r): the second variations.
+    rows (m, r, n_pair, c): r vectors over the pair's nodes, slave nodes first, with c unknowns each
+    gap, jump (m, r): first variations, coefficients of the rows; jump is None without potentials
+    gap2, jump2 (m, r, r): second variations, matrices between the rows; None if not computed
     """
 
     rows: Array
@@ -166,10 +174,13 @@ def variations(
     *,
     second: bool = True,
 ) -> Variations:
-    """First and second variations of the gap and, given the master's potentials (m, n), of the jump.
+    """First and second variations of the gap and, with potentials, of the potential jump.
 
-    slave_shape (m, n_s): shape functions of the slave facet at its points. components: unknowns a node, the
-    displacements first and then, if `potentials` is given, the potential. Without `second`, first variations only.
+    projection: of m slave points on master facets of this kind
+    slave_shape (m, n_s): shape functions of the slave facet at the points
+    components: unknowns of a node: displacements and, with potentials, the potential last
+    potentials (m, n): nodal values of the master facets
+    second: whether to compute second variations
     """
     p, t = projection, kind.dim
     axes = range(t)
@@ -243,20 +254,20 @@ def _outer(left: Array, right: Array) -> Array:
 
 
 class _Rows:
-    """Collects vectors over the unknowns of m pairs and names them by unit vectors."""
+    """Collection of vectors over the unknowns of m pairs, each represented by a unit vector."""
 
     def __init__(self, pairs: int, nodes: int, components: int) -> None:
         self._shape = (pairs, nodes, components)
         self._rows: list[Array] = []
 
     def displacement(self, shape: Array, direction: Array) -> int:
-        """The vector shape (m, nodes) times direction (m, d) in the displacements."""
+        """Number of the vector shape (m, nodes) times direction (m, d) in the displacements."""
         row = np.zeros(self._shape)
         row[:, :, : direction.shape[1]] = shape[:, :, None] * direction[:, None, :]
         return self._add(row)
 
     def potential(self, shape: Array) -> int:
-        """The vector shape (m, nodes) in the potential."""
+        """Number of the vector shape (m, nodes) in the potential."""
         row = np.zeros(self._shape)
         row[:, :, -1] = shape
         return self._add(row)
@@ -266,15 +277,15 @@ class _Rows:
         return len(self._rows) - 1
 
     def unit(self, index: int) -> Array:
-        """(m, r): row `index` alone."""
+        """Unit vector (m, r) of a row."""
         vector = np.zeros((self._shape[0], len(self._rows)))
         vector[:, index] = 1.0
         return vector
 
     def units(self, indices: list[int]) -> Array:
-        """(m, k, r): the rows of `indices`."""
+        """Unit vectors (m, k, r) of some rows."""
         return np.stack([self.unit(i) for i in indices], axis=1)
 
     def rows(self) -> Array:
-        """(m, r, nodes, components): every row."""
+        """All rows (m, r, nodes, components)."""
         return np.stack(self._rows, axis=1)

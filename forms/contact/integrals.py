@@ -1,6 +1,6 @@
-"""Contact integrals: which points with which weights, and each point's share of residual and tangent.
+"""Contact integrals: integration points with their weights, and the residual and tangent of each point.
 
-`node`, `point` (and `segment`) contact differ in points and weights alone; the integrand is the same.
+`node`, `point` (and `segment`) contact differ only in points and weights; the integrand is the same.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from piezomat.forms.contact.smoothing import to_corners
 
 @dataclass(frozen=True)
 class SlavePoints:
-    """Integration points of a slave surface: facet (m,), xi (m, t), shape (m, n), weight (m,) in um2 (2D: um).
+    """Integration points of a slave surface.
 
-    place (m,) numbers the points within their facet; area (m,) is the area that belongs to each, which is its weight
-    unless the weights are unit ones.
+    facet (m,): slave facet; place (m,): number within the facet
+    xi (m, t): reference coordinates; shape (m, n): shape functions there
+    weight (m,): of the contact integral, um2 (2D: um), or without unit for springs of one node each
+    area (m,): undeformed area of the point, um2 (2D: um); the weight unless weights have no unit
     """
 
     facet: NDArray[np.int64]
@@ -40,18 +42,20 @@ def _surface_metric(kind: FacetKind, xi: Array, nodes: Array) -> Array:
 
 
 def quadrature_points(kind: FacetKind, nodes: Array) -> SlavePoints:
-    """Gauss points of each facet with reference coordinates `nodes` (facets, n, d)."""
+    """Gauss points of facets with undeformed nodes (facets, n, d), um."""
     xi, weight = kind.quadrature()
     area = _surface_metric(kind, xi, nodes) * weight
     return _points(kind, xi, area, area)
 
 
 def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = None) -> SlavePoints:
-    """The nodes of each facet, weighted by the area that belongs to them, integral of N_i.
+    """Nodes of facets with undeformed nodes (facets, n, d), um, weighted by their area, the integral of N_i.
 
-    A node appears once for each of its facets, with its share. `multiplicity` (facets, n), the number of facets that
-    share each node, asks for unit weights instead: one spring a node, whatever its area, as Maruccio et al. (2020)
-    print it. At the corners of 6-node triangles the integral of N_i vanishes: the nodes of the sides alone are points.
+    A node appears once for each of its facets, with its share of the area. At the corners of 6-node triangles the
+    integral of N_i vanishes: their only points are the nodes of the sides.
+
+    multiplicity (facets, n): number of facets that share each node; with it weights are 1 / multiplicity, one spring
+        for each node whatever its area, as printed by Maruccio et al. (2020)
     """
     xi, weight = kind.quadrature()
     area = _surface_metric(kind, xi, nodes) * weight
@@ -86,13 +90,20 @@ def contact_vectors(
     geometric_stiffness: bool = True,
     roundings: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array | None]:
-    """Residual vectors (m, n_pair, c) and, if asked for, tangents (m, n_pair * c, n_pair * c) of contact points.
+    """Residual vectors (m, n_pair, c) and, with `tangent`, matrices (m, n_pair * c, n_pair * c) of contact points.
 
-    The derivative of weight * enthalpy with respect to the pair's unknowns, slave nodes first. `response` is in terms
-    of the jump of the same potential unknown as `potentials` (m, n), the master's nodal values; the vectors are made
-    from slope and charge `first` (m,), which differ from the response's where that is predicted. Without
-    `geometric_stiffness` the tangent leaves out that tractions turn with the facets. With the `roundings` (m, k, d) of
-    slave and master facet the pair's nodes are their corners alone.
+    Derivatives of weight * enthalpy by the unknowns of the pair, slave nodes first.
+
+    kind, projection: master facets and the closest points of the m points on them
+    slave_shape (m, n): shape functions of the slave facets at the points
+    weight (m,): of the integral
+    first: traction and charge (m,) of the residual; the response's unless that is a predicted one
+    response: derivatives by gap and jump, the jump being that of the potential unknown
+    components: unknowns of a node, c
+    potentials (m, n): nodal values of the potential unknown on the master facets; None without electric contact
+    tangent: whether to compute matrices
+    geometric_stiffness: whether the tangent includes the rotation of tractions with the facets
+    roundings: offsets (m, k, d) of smoothed slave and master facets, whose nodes in the pair are the corners only
     """
     v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
     along = first[0][:, None] * v.gap
@@ -124,9 +135,10 @@ def first_changes(
     *,
     roundings: tuple[Array, Array] | None = None,
 ) -> Array:
-    """First-order changes (2, m) of gap and jump with those (m, n_pair, c) of a pair's unknowns, slave nodes first.
+    """First-order changes (2, m) of gap and jump for changes (m, n_pair, c) of the pair's unknowns, slave nodes first.
 
-    The jump is that of the unknown; without the master's `potentials` (m, n) it does not change.
+    The jump is that of the potential unknown; without the master's `potentials` (m, n) its change is zero. Other
+    arguments as of `contact_vectors`.
     """
     v = variations(kind, projection, slave_shape, change.shape[2], potentials, second=False)
     along = np.einsum("mrnc,mnc->mr", _over_unknowns(kind, v.rows, roundings), change)
@@ -135,7 +147,7 @@ def first_changes(
 
 
 def _over_unknowns(kind: FacetKind, rows: Array, roundings: tuple[Array, Array] | None) -> Array:
-    """Rows (m, r, n_pair, c) over all nodes of pairs over those that have unknowns: the corners of rounded facets."""
+    """Rows (m, r, n_pair, c) in terms of the nodes with unknowns, which are the corners of smoothed facets."""
     if roundings is None or not roundings[0].shape[1]:
         return rows
     n = len(kind.nodes)

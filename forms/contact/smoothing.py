@@ -1,12 +1,12 @@
-"""Facets of order 1 as curved ones: a surface that interpolates the nodes, with normals continuous from facet to facet.
+"""Smoothing: facets of order 1 replaced by curved ones that interpolate the nodes with continuous normals.
 
-A facet is taken for the one of order 2 on its corners. Its added nodes carry no unknowns; each side is the parabola
+The curved facet is that of order 2 on the same corners. Its added nodes have no unknowns. Each side is the parabola
 through its ends that is perpendicular to the nodal normals there (Nagata, Comput. Aided Geom. Design 22 (2005)
 327-347). The potential stays linear between the corners.
 
-In 2D an added node keeps its place along and across its side, in the side's length. That turns and stretches with the
-facet, and is linear in the corners: so are residual and tangent, and a rigid motion leaves the surface as it is. In 3D
-it keeps its offset in space, as small strains and rotations allow.
+In 2D the offset of an added node along and across its side is proportional to the length of the side. It rotates and
+stretches with the facet and is linear in the corners: so are residual and tangent, and a rigid motion does not change
+the surface's shape. In 3D the offset is constant in space, which is valid for small strains and rotations.
 """
 
 from __future__ import annotations
@@ -15,30 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.augmentation import corner_kind
-from piezomat.forms.contact.facets import FacetKind, facet_kind
+from piezomat.forms.contact.facets import FacetKind, corner_kind, facet_kind
 
 # Corners at the ends of the sides, in the order of the added nodes.
 SIDES = {"line3": [(0, 1)], "tri6": [(1, 2), (0, 2), (0, 1)], "quad9": [(0, 1), (0, 2), (1, 3), (2, 3)]}
-# How far along its side the middle of a parabola may lie from the side's middle, in the side's length: where the
-# curvature changes more than threefold from one end to the other no parabola suits, and normals are met nearly.
+# Largest distance, along the side and in its length, of the parabola's middle from the side's middle. Where the
+# curvature changes more than threefold from one end to the other, no parabola has both normals: they are approximated.
 ALONG = 0.125
 STRAIGHT = 1e-10  # 1 - cosine of the angle between two normals below which a side is straight
 
 
 def curved_kind(kind: FacetKind) -> FacetKind:
-    """The facet of order 2 on the corners of one of order 1."""
+    """Kind of order 2 on the corners of a facet of order 1."""
     return facet_kind({"line2": "line3", "tri3": "tri6", "quad4": "quad9"}[kind.name])
 
 
 def rounding(kind: FacetKind, corners: Array, normals: Array, alone: NDArray[np.bool_]) -> Array:
     """Offsets (f, k, d) of the added nodes of a facet `kind` of order 2: in 2D in the side's length, in 3D in um.
 
-    corners (f, n, d) with unit normals (f, n, d); where a corner is `alone` (f, n) its normal has no say, and the
-    side is bent evenly.
+    corners, normals (f, n, d): coordinates, um, and unit normals at the corners
+    alone (f, n): corners whose normal is that of one facet; it is replaced by the mirror image of the other end's
     """
     offsets = [_offset(corners, normals, alone, *side) for side in SIDES[kind.name]]
-    if kind.name == "quad9":  # in the middle, as of a Coons patch
+    if kind.name == "quad9":  # the middle node as in a Coons patch
         offsets.append(0.5 * np.sum(offsets, axis=0))
     found = np.stack(offsets, axis=1)
     if kind.dim == 1:
@@ -49,7 +48,7 @@ def rounding(kind: FacetKind, corners: Array, normals: Array, alone: NDArray[np.
 
 
 def _offset(corners: Array, normals: Array, alone: NDArray[np.bool_], i: int, j: int) -> Array:
-    """From the middle of a side to that of its parabola, (f, d)."""
+    """Vector (f, d) from the middle of the side between corners i and j to the middle of its parabola."""
     side = corners[:, j] - corners[:, i]
     square = (side**2).sum(axis=1)
     ends = []
@@ -72,7 +71,7 @@ def _offset(corners: Array, normals: Array, alone: NDArray[np.bool_], i: int, j:
 
 
 def rounded(kind: FacetKind, corners: Array, offsets: Array) -> Array:
-    """All nodes (f, n + k, d) of facets with corners (f, n, d) and offsets (f, k, d); k = 0: the corners alone."""
+    """All nodes (f, n + k, d) of facets with corners (f, n, d) and offsets (f, k, d)."""
     if not offsets.shape[1]:
         return corners
     added = np.einsum("kn,fnd->fkd", _spread(kind), corners)
@@ -85,16 +84,16 @@ def rounded(kind: FacetKind, corners: Array, offsets: Array) -> Array:
 
 
 def spread(kind: FacetKind, values: Array, offsets: Array) -> Array:
-    """Values (f, n) at the corners at all nodes (f, n + k), linear between the corners."""
+    """Values (f, n + k) at all nodes from values (f, n) at the corners, linear in between."""
     if not offsets.shape[1]:
         return values
     return np.concatenate([values, values @ _spread(kind).T], axis=1)
 
 
 def to_corners(kind: FacetKind, rows: Array, offsets: Array) -> Array:
-    """Vectors (m, r, n + k, c) over the nodes of facets, offsets (m, k, d), as ones (m, r, n, c) over their corners.
+    """Vectors (m, r, n, c) over the corners of facets from vectors (m, r, n + k, c) over all nodes.
 
-    What they say of a motion of all nodes they then say of the motion of the corners that causes it.
+    Transpose of the map from a motion of the corners to that of all nodes. offsets (m, k, d) as of `rounding`.
     """
     if not offsets.shape[1]:
         return rows
@@ -118,5 +117,5 @@ def _spread(kind: FacetKind) -> Array:
 
 
 def _turned(vectors: Array) -> Array:
-    """Turned by a right angle, counter-clockwise."""
+    """Vectors rotated by a right angle, counter-clockwise."""
     return np.stack([-vectors[:, 1], vectors[:, 0]], axis=1)
