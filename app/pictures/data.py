@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piezomat.contact.pairs import Pairs
 from piezomat.forms.arrays import Array, Integers
 from piezomat.results.files import Value, read_history
 from piezomat.results.vtk import STATUS, IndexEntry, ResultsError, read_index
@@ -158,13 +159,8 @@ class RunData:
 
     def pair_name(self, number: int) -> str:
         """The name of the pair of contact points with this number: a listed pair, two bodies, or a plane."""
-        listed, (bodies, planes) = self.pairs, self.names
-        beyond = len(listed) or len(bodies) ** 2
-        if number < len(listed):
-            return listed[number]
-        if number < beyond:
-            return "-".join(bodies[i] for i in divmod(number, len(bodies)))
-        return planes[number - beyond] if number - beyond < len(planes) else f"pair {number + 1}"
+        bodies, planes = self.names
+        return Pairs(tuple(bodies), None, dict(enumerate(self.pairs)), tuple(planes)).result_name(number)
 
     def column(self, name: str) -> Array:
         """A column of the history, 0 for what is not finite. ResultsError: an entry is no number."""
