@@ -2,10 +2,10 @@
 
 Linear elements, material pvdf, R = 0.5 um, five steps to an approach of 0.05 um, one pass of quadrature points,
 normal penalty 1e5 MPa/um, electric penalty 0.1 pC/(V um2) that fades out over 0.002 um, relative residual 1e-8, one
-processor, one thread. A run is a process of its own, start-up included; ours makes its mesh, others get the same mesh
-in a file. The programs run in turn. What is equal and what is not stands in the heads of benchmark_ngsolve.py and
-benchmark_getfem.py; each program asks its own residual to fall to 1e-8 of its reactions. Force and potential are
-printed to compare.
+processor, one thread. Each run is a process of its own and is measured with its start-up. Piezomat makes its mesh,
+except with --mesh; the other programs read the same mesh from a file. The programs run in turn, and each requires its
+own residual to fall to 1e-8 of its reactions. The heads of benchmark_ngsolve.py and benchmark_getfem.py say what
+differs. Force and potential are printed to compare.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from scripts.studies.other_programs import OTHERS, installed
-from scripts.studies.two_fibers import Cost, Failed, measured, pressed, run_of, write_mesh
+from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.scene import Scene
+from scripts.studies.other_programs import PROGRAMS, installed
+from scripts.studies.two_fibers import Cost, Failed, measured, run_command, scene_of_mesh, scene_of_shape, write_mesh
 
 SIZES = {
     "2d-4k": ("facing_halves", 0.016, 0.076),
@@ -29,31 +31,32 @@ SIZES = {
     "3d-583k": ("crossed_fibers", 0.0093, 0.0485),
     "3d-1080k": ("crossed_fibers", 0.0077, 0.0401),
 }
+SURFACES = ("lower_contact", "upper_contact")
 LAW = {"passes": 1, "normal_penalty": 1e5, "electric_penalty": 0.1, "electric_range": 0.002}
 
 
-def compare(case: str, repeat: int, others: list[str]) -> dict[str, list[Cost]]:
-    """Run a case so many times, the programs in turn; a line a program, then where the time of ours goes."""
+def compare(name: str, scene: Scene, surfaces: list[str], repeat: int, programs: list[str]) -> dict[str, list[Cost]]:
+    """Run a case `repeat` times, the programs in turn, and print a line a program. Returns the costs by program."""
     with tempfile.TemporaryDirectory() as scratch:
-        scene, mesh = Path(scratch) / "scene.toml", Path(scratch) / "mesh.msh"
-        scene.write_text(pressed(*SIZES[case], LAW).to_toml(), encoding="utf-8")
-        commands = {"piezomat": (run_of(scene), {})}
-        for name, (command, environment) in installed(others).items():
-            commands[name] = [*command, str(mesh)], environment
-        if others:
-            write_mesh(scene, mesh)
-        runs: dict[str, list[Cost]] = {name: [] for name in commands}
+        file, mesh = Path(scratch) / "scene.toml", Path(scratch) / "mesh.msh"
+        file.write_text(scene.to_toml(), encoding="utf-8")
+        commands = {"piezomat": (run_command(file), {})}
+        for program, (command, environment) in installed(programs).items():
+            commands[program] = [*command, str(mesh), "--surfaces", *surfaces], environment
+        if programs:
+            write_mesh(file, mesh)
+        runs: dict[str, list[Cost]] = {program: [] for program in commands}
         for _ in range(repeat):
-            for name, command in commands.items():
+            for program, command in commands.items():
                 try:
-                    runs[name].append(measured(*command))
+                    runs[program].append(measured(*command))
                 except Failed as error:
-                    print(f"{case:8} {name:9} failed: {error}", flush=True)
-    for name, costs in runs.items():
+                    print(f"{name:8} {program:9} failed: {error}", flush=True)
+    for program, costs in runs.items():
         if costs:
             answer = costs[0].answer
             print(
-                f"{case:8} {name:9} {answer['unknowns']:8d} unknowns {spread([c.seconds for c in costs]):>22} s "
+                f"{name:8} {program:9} {answer['unknowns']:8d} unknowns {spread([c.seconds for c in costs]):>22} s "
                 f"{median(c.memory for c in costs):6.0f} MB  iterations {answer['newton']}  "
                 f"force {answer['force']:.6f}  potential {answer['potential']:.5f}",
                 flush=True,
@@ -68,7 +71,7 @@ def spread(values: list[float]) -> str:
 
 
 def where(case: str, costs: list[Cost]) -> str:
-    """A row of the table of where the time of our run goes: shares of the process's wall clock, in per cent."""
+    """A row of the table of where piezomat's time goes: shares of the wall clock of the process, in per cent."""
     cost = sorted(costs, key=lambda c: c.wall)[len(costs) // 2]
     timings = cost.answer["timings"]
     parts = {name: timings[name] for name in timings if name not in ("total", "output")}
@@ -79,27 +82,61 @@ def where(case: str, costs: list[Cost]) -> str:
     )
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__.splitlines()[0])
-    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"{', '.join(SIZES)}; default: 2d-15k 3d-20k")
-    parser.add_argument("--repeat", type=int, default=3, help="runs of each (default 3)")
-    parser.add_argument(
-        "--with", dest="others", nargs="+", choices=list(OTHERS), default=[], help="programs, installed if need be"
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__.splitlines()[0])
+    made.add_argument("cases", nargs="*", metavar="CASE", help=f"{', '.join(SIZES)}; default: 2d-15k 3d-20k")
+    made.add_argument(
+        "--mesh",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="mesh files (gmsh) of two fibers of R = 0.5 um: bodies lower and upper, facet groups bottom and top",
     )
-    options = parser.parse_args()
+    made.add_argument(
+        "--surfaces",
+        nargs=2,
+        default=list(SURFACES),
+        metavar=("SLAVE", "MASTER"),
+        help=f"facet groups of the mesh files that come into contact (default: {' '.join(SURFACES)})",
+    )
+    made.add_argument("--repeat", type=int, default=3, help="runs of each (default 3)")
+    made.add_argument(
+        "--with", dest="programs", nargs="+", choices=list(PROGRAMS), default=[], help="programs, installed if need be"
+    )
+    return made
+
+
+def cases_of(options: argparse.Namespace) -> dict[str, tuple[Scene, list[str]]]:
+    """Name -> scene and contact surfaces of what the command line lists. Raises ValueError, MeshError."""
     unknown = [case for case in options.cases if case not in SIZES]
     if unknown:
-        parser.error(f"no case {', '.join(unknown)}; there are {', '.join(SIZES)}")
+        raise ValueError(f"no case {', '.join(unknown)}; there are {', '.join(SIZES)}")
+    default = [] if options.mesh else ["2d-15k", "3d-20k"]
+    cases = {case: (scene_of_shape(*SIZES[case], LAW), list(SURFACES)) for case in options.cases or default}
+    for file in options.mesh:
+        scene = scene_of_mesh(Path(file), LAW | {"pairs": [options.surfaces]})
+        cases[Path(file).name] = scene, options.surfaces
+    return cases
+
+
+def main() -> None:
+    """Run what the command line lists and print the tables."""
+    options = parser().parse_args()
+    try:
+        cases = cases_of(options)
+    except (ValueError, MeshError) as error:
+        parser().error(str(error))
     print(__doc__.split("\n\n", 1)[1])
-    results = {case: compare(case, options.repeat, options.others) for case in options.cases or ["2d-15k", "3d-20k"]}
+    results = {name: compare(name, *case, options.repeat, options.programs) for name, case in cases.items()}
     print("\nwhere the time of piezomat goes (wall clock)")
     for case, runs in results.items():
-        print(where(case, runs["piezomat"]))
-    for name in options.others:
-        print(f"\n{name} over piezomat, run by run: processor seconds, memory")
+        if runs["piezomat"]:
+            print(where(case, runs["piezomat"]))
+    for program in options.programs:
+        print(f"\n{program} over piezomat, run by run: processor seconds, memory")
         for case, runs in results.items():
-            pairs = list(zip(runs["piezomat"], runs[name], strict=False))
+            pairs = list(zip(runs["piezomat"], runs[program], strict=False))
             if pairs:
                 seconds = spread([theirs.seconds / ours.seconds for ours, theirs in pairs])
                 memory = median(theirs.memory / ours.memory for ours, theirs in pairs)

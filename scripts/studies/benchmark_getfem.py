@@ -28,6 +28,7 @@ given = argparse.ArgumentParser()
 given.add_argument("mesh")
 given.add_argument("--normal", type=float, default=1e5)
 given.add_argument("--electric", type=float, default=0.1)
+given.add_argument("--surfaces", nargs=2, default=["lower_contact", "upper_contact"], help="slave and master")
 given = given.parse_args()
 gf.util_trace_level(0)
 gf.util_warning_level(0)
@@ -80,8 +81,8 @@ bulk = (
 model.add_linear_term(rule, bulk)
 model.add_raytracing_transformation("other", APPROACH)
 for add, name in (
-    (model.add_slave_contact_boundary_to_raytracing_transformation, "lower_contact"),
-    (model.add_master_contact_boundary_to_raytracing_transformation, "upper_contact"),
+    (model.add_slave_contact_boundary_to_raytracing_transformation, given.surfaces[0]),
+    (model.add_master_contact_boundary_to_raytracing_transformation, given.surfaces[1]),
 ):
     add("other", mesh, "u", number[name])
 model.add_macro("normal", "Normalized(Inv((Id(meshdim)+Grad_u)')*Normal)")
@@ -91,7 +92,7 @@ model.add_macro("jump", "(scale*(p-Interpolate(p,other)))")
 model.add_macro("djump", "(scale*(Test_p-Interpolate(Test_p,other)))")
 model.add_macro("away", "(pos_part(gap/range)-pos_part(gap/range-1))")
 contact = "-kn*neg_part(gap)*dgap-rho*(1-away*away*(3-2*away))*jump*djump+3*rho*away*(1-away)/range*sqr(jump)*dgap"
-model.add_nonlinear_term(rule, f"Interpolate_filter(other,{contact},1)", number["lower_contact"])
+model.add_nonlinear_term(rule, f"Interpolate_filter(other,{contact},1)", number[given.surfaces[0]])
 model.add_initialized_data("held", [0.0] * dim)
 model.add_initialized_data("down", [0.0] * dim)
 model.add_initialized_data("earth", 0.0)

@@ -30,8 +30,8 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from piezomat.scene import Scene
 from scripts.studies import tables
 from scripts.studies.chart_cases import CASES, CURVES, ELECTRIC, NORMAL, Case, peak_pressure
-from scripts.studies.other_programs import OTHERS, installed
-from scripts.studies.two_fibers import Cost, Failed, measured, run_of, write_mesh
+from scripts.studies.other_programs import PROGRAMS, installed
+from scripts.studies.two_fibers import Cost, Failed, measured, run_command, write_mesh
 
 COLUMNS = ["curve", "size", "unknowns", "seconds", "memory_mb", "newton", "force", "potential", "pressure", "reason"]
 COLOURS = {"node": "#d95f02", "point": "#1b9e77", "segment": "#7570b3"}
@@ -44,7 +44,7 @@ def ours(scene: Scene) -> Cost:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scene.toml"
         path.write_text(scene.to_toml(), encoding="utf-8")
-        return measured(run_of(path))
+        return measured(run_command(path))
 
 
 def theirs(case: Case, size: float, program: tuple[list[str], dict[str, str]]) -> Cost:
@@ -167,7 +167,7 @@ def main() -> None:
     parser.add_argument("out", nargs="?", type=Path, default=Path("results/chart"))
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--meshes", type=int, choices=(1, 2, 3, 4), default=4, help="so many of each curve's meshes")
-    parser.add_argument("--with", dest="others", nargs="+", choices=list(OTHERS), default=[], help="other programs")
+    parser.add_argument("--with", dest="others", nargs="+", choices=list(PROGRAMS), default=[], help="other programs")
     parser.add_argument("--draw", action="store_true", help="only draw what there is")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)

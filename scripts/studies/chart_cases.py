@@ -12,7 +12,7 @@ from typing import Any
 
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.scene import Scene
-from scripts.studies.two_fibers import pressed
+from scripts.studies.two_fibers import scene_of_shape
 from tests.verification import references as ref
 
 FACTOR, RANGE, AUGMENT = 10.0, 0.002, 1e-3
@@ -67,7 +67,7 @@ class Case:
             contact |= {"electric_penalty": ELECTRIC / size, "electric_range": RANGE}
         if curve.augmented:
             contact["augment"] = augment
-        return pressed(
+        return scene_of_shape(
             self.shape,
             size,
             self.far * size,
