@@ -1,4 +1,4 @@
-"""Stored energies, and the small grounding that holds a body which nothing else holds."""
+"""Stored energies of the bodies, and the stabilization of bodies without constraints."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from piezomat.forms.kinematics import Kinematics, strain_and_field, strain_compo
 from piezomat.forms.piezo import symmetric_matrix, volume_measure
 
 
-def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:
+def stored_energies(w: Any, constitutive: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:
     """UFL functionals of the elastic energy 1/2 S.C.S and the electric energy 1/2 E.eps.E (None without potential).
 
     Their sum is the internal energy, pJ (2D: per um of depth): the piezoelectric terms of T.S and D.E cancel.
     """
     s = strain_and_field(w, kinematics)
-    matrix = symmetric_matrix(law, len(s))
+    matrix = symmetric_matrix(constitutive, len(s))
     dim = fenicsx.dimension(w)
     strains = strain_components(dim)
 
@@ -30,11 +30,13 @@ def stored_energies(w: Any, law: Any, kinematics: Kinematics) -> tuple[Any, Any 
 
 
 def stabilization_form(v: Any, strength: Any) -> Any:
-    """Linear form whose vector holds the springs, one at every unknown, that hold a body where it was.
+    """Linear form whose vector holds the stiffness of a spring at every unknown.
 
-    Their energy in a rigid motion is that of springs spread over the volume, whatever the order: its square is
-    integrated from its nodal values. strength: DG0 vector of two, MPa/um2: for each displacement, and for the potential
-    unknown (which takes the sign of the dielectric term, so that the grounded body keeps a tangent of one signature).
+    Their energy in a rigid motion is that of springs distributed over the volume, whatever the order: the square of the
+    motion is integrated from its nodal values.
+
+    strength: DG0 vector of two, MPa/um2: of each displacement, and of the potential unknown. The latter has the sign of
+        the dielectric term, so that the signature of the tangent does not change.
     """
     dim = fenicsx.dimension(v)
     density = strength[0] * sum(v[i] for i in range(dim))

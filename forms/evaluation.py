@@ -1,4 +1,4 @@
-"""Values of forms: integrals over the mesh and what is evaluated at the centres of cells."""
+"""Evaluation of forms: integrals over the mesh, expressions at the centres of cells."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def integral(form: Any) -> float:
 
 
 def center_expression(value: Any, mesh: Any) -> Any:
-    """A UFL vector compiled for evaluation at the centre of every cell. Collective."""
+    """UFL vector compiled for `fenicsx.at_centers`, the evaluation at the centre of every cell. Collective."""
     dim = mesh.topology.dim
     simplex = fenicsx.cell_name(mesh) in ("triangle", "tetrahedron")
     center = np.full((1, dim), 1.0 / (dim + 1) if simplex else 0.5)

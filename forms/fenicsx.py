@@ -32,20 +32,20 @@ EQUISPACED = basix.LagrangeVariant.equispaced
 _reasons = PETSc.SNES.ConvergedReason
 NOT_A_NUMBER = _reasons.DIVERGED_FUNCTION_NANORINF if NEWEST else _reasons.DIVERGED_FNORM_NAN
 
-# The form compiler tells the root logger of every C compiler call.
+# The form compiler logs every call of the C compiler to the root logger.
 for _handler in logging.getLogger().handlers:
     _handler.setLevel(logging.WARNING)
-# PETSc 3.22 ends with a list of the options that nothing asked for, such as those of a solver that no step needed.
+# PETSc 3.22 ends with a list of unused options, such as those of a solver that no step needed.
 PETSc.Options()["options_left"] = "no"
 
 
 def lagrange(mesh: Any, order: int, components: int) -> Any:
-    """Blocked Lagrange space of the given order with `components` unknowns a node."""
+    """Blocked Lagrange space of the given order with `components` unknowns at each node."""
     return _space(mesh, "Lagrange", order, components)
 
 
 def piecewise_constant(mesh: Any, components: int) -> Any:
-    """Blocked space of `components` constants a cell."""
+    """Blocked space of `components` constants in each cell."""
     return _space(mesh, "DG", 0, components)
 
 
@@ -66,8 +66,8 @@ def create_mesh(
 ) -> Any:
     """Distributed mesh with Lagrange geometry of the given order, without ghost cells. Collective.
 
-    `cells` (n, nodes) holds input node numbers in DOLFINx order and `x` (N, dim) their coordinates, both on
-    rank 0 (empty elsewhere). `destinations` (n,) on rank 0 forces the rank of each cell.
+    cells (n, nodes): input node numbers in DOLFINx order; x (N, dim): their coordinates; on rank 0, empty elsewhere
+    destinations (n,): rank of each cell, on rank 0; default a partition of the graph of cells
     """
     gdim = comm.bcast(x.shape[1])
     partition: Callable | None = None
@@ -88,17 +88,17 @@ def create_mesh(
 
 
 def _partition(ranks: NDArray[np.int32], comm: Any, parts: int, *graph: Any) -> Any:
-    """Ranks that each cell goes to, as DOLFINx asks a partitioner for them.
+    """Destination ranks of each cell, with the signature of a DOLFINx partitioner.
 
-    Since 0.9 (graph: cell types, cells) only its own; 0.5 (graph: cells that share a facet, whether it wants ghosts)
-    asks for those of its neighbours too, by which it finds the vertices that ranks share.
+    Since 0.9 (graph: cell types, cells) only the cell's own rank; 0.5 (graph: cells that share a facet, whether ghosts
+    are needed) also the ranks of its neighbours, from which it finds the vertices that ranks share.
     """
     neighbours = None if NEW or not graph[1] else graph[0]
     return _destinations(ranks, neighbours)
 
 
 def _destinations(ranks: NDArray[np.int32], neighbours: Any | None) -> Any:
-    """Ranks that each cell goes to: its own first, then, if asked for, those of cells that share a facet with it."""
+    """Destination ranks of each cell: its own first, then those of its `neighbours`, cells across its facets."""
     cell, rank = np.arange(len(ranks)), ranks
     if neighbours is not None:
         near = np.repeat(cell, np.diff(neighbours.offsets))
@@ -119,9 +119,10 @@ def gmsh_permutation(cell_type: str, nodes: int) -> NDArray[np.int64]:
 def entities_from_nodes(
     mesh: Any, dim: int, entities: NDArray[np.int64], values: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Local indices and values of tagged entities, given anywhere by their input node numbers. Collective.
+    """Local indices and values of tagged entities of dimension `dim`, given on any rank. Collective.
 
-    `entities` (n, nodes) in DOLFINx order of nodes; an entity that does not exist in the mesh is dropped.
+    entities (n, nodes): input node numbers in DOLFINx order; an entity that is not in the mesh is dropped
+    values (n,): tags
     """
     topology = mesh.topology
     topology.create_entities(dim)
@@ -183,16 +184,16 @@ def nodes_per_cell(mesh: Any) -> int:
 
 
 def matrix_from_csr(matrix: PETSc.Mat | None, sizes: Any, block: int, csr: Any, comm: MPI.Comm) -> PETSc.Mat:
-    """A matrix with the places and values of `csr`: the given one, or in its stead a new one. Collective.
+    """Matrix with the sparsity pattern and values of `csr`, in place of the given one. Collective.
 
-    PETSc 3.18 can take new places into a matrix in use, which spares the memory of a second one; 3.22 then writes
-    beyond its arrays on several ranks.
+    PETSc 3.18 can change the pattern of a matrix in use, which saves the memory of a second one; 3.22 then writes
+    beyond its arrays on several ranks, so that the matrix is a new one.
     """
     if matrix is not None and PETSc.Sys.getVersion()[:2] <= (3, 18):
         matrix.setPreallocationCSR(csr)
         return matrix
     if matrix is not None:
-        matrix.destroy()  # this reference to it: solvers let go theirs when they get the new one
+        matrix.destroy()  # this reference; solvers drop theirs when they receive the new matrix
     return PETSc.Mat().createAIJ(sizes, bsize=block, csr=csr, comm=comm)
 
 
@@ -217,13 +218,13 @@ def dimension(argument: Any) -> int:
 
 
 def cell_name(mesh: Any) -> str:
-    """triangle, quadrilateral, tetrahedron or hexahedron: the cells of a mesh, DOLFINx's or UFL's."""
+    """Cells of a mesh, DOLFINx's or UFL's: triangle, quadrilateral, tetrahedron or hexahedron."""
     ufl_mesh = mesh if isinstance(mesh, ufl.Mesh) else mesh.ufl_domain()
     return str(_value(ufl_mesh.ufl_cell().cellname))
 
 
 def _value(attribute: Any) -> Any:
-    """What UFL made a property of, and was a method before."""
+    """Value of an attribute that is a property in new versions of UFL and was a method before."""
     return attribute() if callable(attribute) else attribute
 
 

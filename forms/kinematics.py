@@ -1,4 +1,4 @@
-"""Kinematics: strains and fields of the unknown, and the way from referential to current quantities."""
+"""Kinematics: strain and electric field of the unknown, and the push-forward from referential to current fields."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def strain_components(dim: int) -> int:
 
 
 def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
-    """UFL vector s: Voigt strain (engineering shears) and, where w has psi, -Grad(psi) = E / potential_scale.
+    """UFL vector s: Voigt strain (engineering shears) and, if w has psi, -Grad(psi) = E / potential_scale.
 
-    3 + 2 entries in 2D, 6 + 3 in 3D; raises ValueError if w has neither dim nor dim + 1 components.
+    3 + 2 entries in 2D, 6 + 3 in 3D. Raises ValueError if w has neither dim nor dim + 1 components.
     """
     dim = fenicsx.dimension(w)
     if w.ufl_shape not in ((dim,), (dim + 1,)):
@@ -71,7 +71,7 @@ def deformation_gradient(displacement_gradient: Array, out_of_plane_strain: Arra
 
 
 def push_forward(f: Array, stress: Array, field: Array, displacement: Array) -> tuple[Array, Array, Array]:
-    """Cauchy stress, current electric field and electric displacement from the referential ones.
+    """Cauchy stress (m, 6), current electric field and electric displacement (m, 3) from referential ones.
 
     f (m, 3, 3); stress (m, 6) second Piola-Kirchhoff in Voigt order, field (m, 3) = -Grad(phi), displacement (m, 3).
     F S F^T / J, F^-T E, F D / J (Dorfmann and Ogden 2005, section 3).

@@ -99,10 +99,10 @@ class Material:
         return 0.0 if self.permittivity is None else float(np.diag(self.permittivity).mean())
 
     def check(self) -> None:
-        """Return if the material is stable; else raise ValueError in words.
+        """Raise ValueError, with the reason, if the material is not stable.
 
-        Asks for the right shapes, finite numbers, symmetric and positive definite stiffness and permittivity,
-        and a permittivity wherever there is a piezoelectric constant.
+        A stable material has arrays of the right shapes, finite numbers, a symmetric and positive definite stiffness
+        and permittivity, and a permittivity if it has a piezoelectric constant.
         """
         _check_definite("stiffness", self.stiffness, 6)
         _check_numbers("piezo", self.piezo, (3, 6))
@@ -145,7 +145,7 @@ class Material:
         if dim == 3:
             return full
         if dim != 2:
-            raise ValueError(f"a law exists in 2 or 3 dimensions, not {dim}")
+            raise ValueError(f"the dimension is 2 or 3, not {dim}")
         kept = full[np.ix_(IN_PLANE, IN_PLANE)]
         if plane == "strain":
             return kept
@@ -156,10 +156,10 @@ class Material:
     def response(
         self, strain: ArrayLike, field: ArrayLike | None = None, dim: int = 3, plane: Plane = "strain"
     ) -> Response:
-        """Full strain, stress and electric displacement at any number of points.
+        """Full strain, stress and electric displacement at points.
 
-        strain (..., 6) and field (..., 3) in 3D; (..., 3) and (..., 2) in 2D, in-plane. No field: zero. In 2D
-        the parts out of the plane follow from `plane` as in `constitutive_matrix`.
+        strain (..., 6) and field (..., 3), V/um, in 3D; (..., 3) and (..., 2) in 2D, in-plane. Default field: zero.
+        In 2D the components out of the plane follow from `plane` as in `constitutive_matrix`.
         """
         strain = np.asarray(strain, float)
         components = 6 if dim == 3 else 3
@@ -178,7 +178,7 @@ class Material:
         return Response(state[..., :6], gradient[..., :6], -gradient[..., 6:])
 
     def _condensation(self) -> Array:
-        """(3, 5): takes the in-plane state to (S33, 2 S23, 2 S13) where T33 = T23 = T13 = 0 and E3 = 0."""
+        """Matrix (3, 5) from the in-plane state to (S33, 2 S23, 2 S13) with T33 = T23 = T13 = 0 and E3 = 0."""
         full = self.constitutive_matrix(3)
         return -np.linalg.solve(full[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)], full[np.ix_(OUT_OF_PLANE, IN_PLANE)])
 
@@ -225,7 +225,7 @@ def piezo_matrix(constants: Mapping[str, float]) -> Array:
 
 
 def permittivity_matrix(value: ArrayLike) -> Array:
-    """Permittivity (3, 3) of a number, three principal values or the matrix itself; else ValueError."""
+    """Permittivity (3, 3) from a number, three principal values or the matrix. Raises ValueError for others."""
     array = np.asarray(value, float)
     if array.ndim == 0:
         return float(array) * np.eye(3)

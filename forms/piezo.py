@@ -1,16 +1,16 @@
-"""Bulk forms of coupled piezoelectricity: one enthalpy density, its residual and tangent, and the loads.
+"""Forms of the bodies: one enthalpy density of coupled piezoelectricity, its residual and tangent, and the loads.
 
 The unknown w has the components u_1 .. u_dim and, with a potential, psi = phi / potential_scale. With
 s = (strain in Voigt order, electric field) and the matrix M of `piezomat.forms.materials`,
 
     Pi(w) = int 1/2 s.M.s dV - int t.u dA + int q phi dA,      E = -grad(phi).
 
-Small kinematics: S = sym(grad u). Finite: the Green-Lagrange strain and the referential field E = -Grad(phi),
-a total Lagrangian description in which T is the second Piola-Kirchhoff stress. The material enters as numbers
-of each cell only: every scene of the same cell, order, kinematics and fields uses the same compiled forms.
+Small kinematics: S = sym(grad u). Finite: the Green-Lagrange strain and the referential field E = -Grad(phi), a total
+Lagrangian description in which T is the second Piola-Kirchhoff stress. The material enters only as numbers of each
+cell: every scene with the same cell, order, kinematics and fields uses the same compiled forms.
 
-The derivative of Pi by psi is potential_scale times that by phi: the free charge on a boundary (-D.n dA) is
-minus the sum of the internal residual's psi entries there, divided by potential_scale.
+The derivative of Pi by psi is potential_scale times that by phi: the free charge on a boundary (-D.n dA) is minus the
+sum of the internal residual's psi entries there, divided by potential_scale.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from piezomat.forms.kinematics import Kinematics, cofactor, displacement_gradien
 
 @dataclass(frozen=True)
 class Load:
-    """What acts on the facets of one tag; dolfinx Constants, so that a load step recompiles nothing.
+    """Loads on the facets of one tag, as DOLFINx Constants, so that a load step recompiles nothing.
 
-    traction (dim,) MPa: force per reference area, dead. pressure, MPa: pushes against the outer normal; dead
-    in small kinematics, follows the surface in finite. charge_density, pC/um2: free charge, per reference
-    area.
+    traction (dim,), MPa: dead force per reference area
+    pressure, MPa: against the outer normal; dead in small kinematics, follows the surface in finite
+    charge_density, pC/um2: free charge per reference area
     """
 
     tag: int
@@ -45,16 +45,17 @@ class Load:
 
 def constitutive_field(
     mesh: Any,
-    laws: Sequence[NDArray[np.float64]],
-    cell_law: NDArray[np.int32],
+    matrices: Sequence[NDArray[np.float64]],
+    cell_matrix: NDArray[np.int32],
     potential_scale: float | None,
 ) -> Any:
     """Upper triangle, row by row, of each cell's enthalpy matrix as a blocked DG0 Function. Collective.
 
-    laws: matrices of `Material.constitutive_matrix`, (5, 5) or (9, 9); cell_law (local cells,): which of
-    them a cell has.
-    Rows and columns of the electric field are multiplied by potential_scale (V); None: there is no potential
-    and only the elastic block is kept. 15 (2D) or 45 (3D) components; without potential 6 or 21.
+    15 components in 2D, 45 in 3D; without potential 6 or 21, the elastic block only.
+
+    matrices: of `Material.constitutive_matrix`, (5, 5) or (9, 9)
+    cell_matrix (local cells,): number of the matrix of each cell
+    potential_scale: V, multiplies rows and columns of the electric field; None without potential
     """
     dim = mesh.geometry.dim
     strains = strain_components(dim)
@@ -62,34 +63,34 @@ def constitutive_field(
     scale = np.ones(size)
     scale[strains:] = potential_scale or 1.0
     rows, columns = np.triu_indices(size)
-    table = np.array([(scale[:, None] * law[:size, :size] * scale)[rows, columns] for law in laws])
+    table = np.array([(scale[:, None] * m[:size, :size] * scale)[rows, columns] for m in matrices])
     field = dolfinx.fem.Function(fenicsx.piecewise_constant(mesh, rows.size))
-    cells = fenicsx.dofmap(field.function_space)[: len(cell_law), 0]
-    field.x.array.reshape(-1, rows.size)[cells] = table[cell_law]
+    cells = fenicsx.dofmap(field.function_space)[: len(cell_matrix), 0]
+    field.x.array.reshape(-1, rows.size)[cells] = table[cell_matrix]
     field.x.scatter_forward()
     return field
 
 
-def symmetric_matrix(law: Any, size: int) -> Any:
-    """UFL matrix M (size, size) of the cellwise `constitutive_field`; raises ValueError if the two do not fit."""
-    if law.ufl_shape != (size * (size + 1) // 2,):
-        raise ValueError(f"a law of {law.ufl_shape[0]} entries does not fit a state of {size} components")
-    entry = {pair: law[number] for number, pair in enumerate(zip(*np.triu_indices(size), strict=True))}
+def symmetric_matrix(constitutive: Any, size: int) -> Any:
+    """UFL matrix M (size, size) of the cellwise `constitutive_field`. Raises ValueError if its size differs."""
+    if constitutive.ufl_shape != (size * (size + 1) // 2,):
+        raise ValueError(f"a matrix of {constitutive.ufl_shape[0]} entries does not fit a state of {size} components")
+    entry = {pair: constitutive[number] for number, pair in enumerate(zip(*np.triu_indices(size), strict=True))}
     return ufl.as_matrix([[entry[min(i, j), max(i, j)] for j in range(size)] for i in range(size)])
 
 
-def enthalpy(w: Any, law: Any, kinematics: Kinematics) -> Any:
-    """UFL density 1/2 s.M.s in pJ/um3 of w with the `constitutive_field`; raises ValueError if the two do not fit."""
+def enthalpy(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
+    """UFL density 1/2 s.M.s of w, pJ/um3, with the `constitutive_field`. Raises ValueError if their sizes differ."""
     s = strain_and_field(w, kinematics)
-    return 0.5 * ufl.inner(s, symmetric_matrix(law, len(s)) * s)
+    return 0.5 * ufl.inner(s, symmetric_matrix(constitutive, len(s)) * s)
 
 
 def volume_measure(w: Any) -> Any:
-    """dx with just enough quadrature points for elements of w's order on a mesh of that geometry order.
+    """UFL dx of the least sufficient degree for elements of w's order on a mesh of the same geometry order.
 
-    Exact for the small-strain tangent on affine cells and for int grad(v) dV on curved ones, which is what
-    keeps a uniform stress in equilibrium there: degree (d - 1)(p - 1) from the cofactor of the geometry's
-    gradient and p - 1 from that of v. On tensor cells the Gauss rule of p + 1 points a direction does both.
+    Exact for the small-strain tangent on affine cells, and on curved ones for int grad(v) dV, so that a uniform stress
+    is in equilibrium: degree (d - 1)(p - 1) from the cofactor of the geometry's gradient and p - 1 from the gradient of
+    v. On tensor cells the Gauss rule of p + 1 points in each direction is exact for both.
     """
     domain = fenicsx.domain(w)
     order = fenicsx.degree(w)
@@ -100,31 +101,32 @@ def volume_measure(w: Any) -> Any:
     return ufl.dx(domain=domain, degree=degree)
 
 
-def internal_form(w: Any, law: Any, kinematics: Kinematics) -> Any:
-    """Residual F(w; v), the derivative of the enthalpy at w, v the test function of w's space.
+def internal_form(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
+    """Residual F(w; v), the derivative of the enthalpy at w, with the test function v of w's space.
 
-    Written as (M s).ds(v), M being symmetric: the same as what ufl.derivative makes of 1/2 s.M.s, but the C
-    code of its tangent is half as long and compiles four times as fast.
+    Written as (M s).ds(v) with M symmetric: equal to ufl.derivative of 1/2 s.M.s, but the C code of its tangent is half
+    as long and compiles four times as fast.
     """
     s = strain_and_field(w, kinematics)
     variation = ufl.derivative(s, w, ufl.TestFunction(w.function_space))
-    return ufl.inner(symmetric_matrix(law, len(s)) * s, variation) * volume_measure(w)
+    return ufl.inner(symmetric_matrix(constitutive, len(s)) * s, variation) * volume_measure(w)
 
 
-def tangent_form(w: Any, law: Any, kinematics: Kinematics) -> Any:
-    """Symmetric bilinear form, the derivative of the residual; small kinematics: it does not depend on w."""
-    return ufl.derivative(internal_form(w, law, kinematics), w)
+def tangent_form(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
+    """Symmetric bilinear form, the derivative of the residual; independent of w in small kinematics."""
+    return ufl.derivative(internal_form(w, constitutive, kinematics), w)
 
 
 def boundary_loads(
     v: Any, w: Any, ds: Any, loads: Sequence[Load], kinematics: Kinematics, potential_scale: float | None
 ) -> Any:
-    """What all loads together ADD to the residual; an empty form if there are none.
+    """Form that all loads together ADD to the residual, empty without loads.
 
-    v: test function of w's space; ds: the exterior facet measure whose subdomain_data holds the loads' tags.
-    A traction adds -t.v, a pressure +p n.v (finite: +p (cof F N).v per reference area), a charge +q
-    potential_scale v_psi. In plane stress a load acts per reference thickness. Raises ValueError for a charge
-    without a potential.
+    A traction adds -t.v, a pressure +p n.v (finite: +p (cof F N).v per reference area), a charge +q potential_scale
+    v_psi. In plane stress a load acts per reference thickness. Raises ValueError for a charge without a potential.
+
+    v: test function of w's space
+    ds: measure of exterior facets, with the loads' tags in its subdomain_data
     """
     domain = fenicsx.domain(w)
     dim = fenicsx.dimension(w)
@@ -149,5 +151,5 @@ def boundary_loads(
 
 
 def load_tangent(form: Any, w: Any) -> Any | None:
-    """Derivative of `boundary_loads` at w, not symmetric; None where the loads do not depend on w."""
+    """Derivative of `boundary_loads` at w, not symmetric; None if the loads do not depend on w."""
     return ufl.derivative(form, w) if w in form.coefficients() else None

@@ -209,7 +209,7 @@ def test_what_does_not_fit_is_refused(comm: MPI.Comm) -> None:
     body = Body(comm, "triangle", 1, "small")
     cells = np.zeros(len(body.law.x.array) // 15, np.int32)
     elastic = constitutive_field(body.mesh, [BUILT_IN["elastic"].constitutive_matrix(2)], cells, None)
-    with pytest.raises(ValueError, match="a law of 6 entries does not fit a state of 5 components"):
+    with pytest.raises(ValueError, match="a matrix of 6 entries does not fit a state of 5 components"):
         enthalpy(body.w, elastic, "small")
     with pytest.raises(ValueError, match='kinematics must be "small" or "finite", not "large"'):
         internal_form(body.w, body.law, "large")  # type: ignore[arg-type]
