@@ -3,13 +3,12 @@
     scripts/chart                             all cases, into results/chart: some 30 minutes of a processor
     scripts/chart out --cases hertz           one of them, into another folder
     scripts/chart out --meshes 2              the two coarsest meshes of each curve alone (and the reference)
-    scripts/chart --with ngsolve getfem       their points too; installed in folders of their own if need be
-    scripts/chart out --draw                  only draws anew what out holds
+    scripts/chart --with ngsolve getfem       points of these programs too, installed if need be
+    scripts/chart out --draw                  only draws the tables in out again
 
-A case is a table NAME.csv with a row a run (a process of its own, start-up and mesh included) and a picture NAME.png.
-Errors are those against the reference, a row of the table (those of the peak pressure: against Hertz, under
-the force of the run); runs that the table holds are not run again. The
-cases are in chart_cases.py.
+A case is a table NAME.csv with a row a run (a process, start-up and mesh included) and a picture NAME.png. Errors are
+relative to the reference, a row of the table; those of the peak pressure are relative to Hertz at the force of the run.
+Runs that are in the table are not run again. The cases are in chart_cases.py.
 """
 
 from __future__ import annotations
@@ -72,11 +71,11 @@ def row(name: str, size: float, cost: Cost) -> dict[str, Any]:
     }
 
 
-def sweep(case: Case, out: Path, meshes: int, others: dict[str, tuple[list[str], dict[str, str]]]) -> None:
-    """Run what the table lacks; every row is in it as soon as its run has ended."""
+def sweep(case: Case, out: Path, meshes: int, programs: dict[str, tuple[list[str], dict[str, str]]]) -> None:
+    """Run the points that are missing in the table; each row is written as soon as its run has ended."""
     path = out / f"{case.name}.csv"
     done = {(row["curve"], row["size"]) for row in tables.rows(path)}
-    foreign = others if case.material == "pvdf" else {}
+    foreign = programs if case.material == "pvdf" else {}
     sizes = case.sizes[:meshes]
     todo = [(TRUTH, case.finest), *((curve.name, size) for size in sizes for curve in CURVES)]
     todo += [(name, size) for size in sizes for name in foreign]
@@ -148,7 +147,7 @@ def label(axis: Axes, what: str) -> None:
 
 
 def legend(found: dict[str, Any]) -> list[Line2D]:
-    """What colours, markers and dashes mean, and the other programs that are there."""
+    """Handles that explain colours, markers and dashes, and the other programs in the table."""
     handles = [Line2D([], [], color=colour, label=name) for name, colour in COLOURS.items()]
     handles += [Line2D([], [], color="grey", linestyle="", marker="os"[o - 1], label=f"order {o}") for o in (1, 2)]
     dashes = (("-", "penalty"), ("--", "augmented"))
@@ -166,15 +165,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/chart", description=__doc__.split("\n")[0])
     parser.add_argument("out", nargs="?", type=Path, default=Path("results/chart"))
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
-    parser.add_argument("--meshes", type=int, choices=(1, 2, 3, 4), default=4, help="so many of each curve's meshes")
-    parser.add_argument("--with", dest="others", nargs="+", choices=list(PROGRAMS), default=[], help="other programs")
-    parser.add_argument("--draw", action="store_true", help="only draw what there is")
+    parser.add_argument("--meshes", type=int, choices=(1, 2, 3, 4), default=4, help="number of meshes of each curve")
+    parser.add_argument("--with", dest="programs", nargs="+", choices=list(PROGRAMS), default=[], help="other programs")
+    parser.add_argument("--draw", action="store_true", help="only draw the tables in OUT")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    others = {} if given.draw else installed(given.others)
+    programs = {} if given.draw else installed(given.programs)
     for name in given.cases:
         if not given.draw:
-            sweep(CASES[name], given.out, given.meshes, others)
+            sweep(CASES[name], given.out, given.meshes, programs)
         draw(CASES[name], tables.rows(given.out / f"{name}.csv"), given.out / f"{name}.png")
 
 

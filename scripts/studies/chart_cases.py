@@ -1,4 +1,4 @@
-"""The cases of scripts/chart: what is pressed, on which meshes, and what the answer is compared with.
+"""The cases of scripts/chart: scenes, meshes and references.
 
 Every body is half a fiber of R = 0.5 um. All programs get the same penalties, ten times stiffness (permittivity) over
 the size of a facet, so that they converge to bodies that do not penetrate and share one potential where they touch;
@@ -56,7 +56,7 @@ class Case:
     best: str = "segment"  # method of the reference, which is of order 2 and augmented
 
     def reference(self) -> Scene:
-        """The scene of the reference: its load in one step, as what is pressed does not remember the way."""
+        """The scene of the reference: the load in one step, as the solution does not depend on the path."""
         return replace(self, steps=1).scene(Curve(self.best, 2, True), self.finest, AUGMENT / 10)
 
     def scene(self, curve: Curve, size: float, augment: float = AUGMENT) -> Scene:

@@ -2,10 +2,10 @@
 
     scripts/mats                                       all of them, into results/mats: hours on 2 cores
     scripts/mats out --studies growth --fibers 10 30   one of them, and for growth with which numbers of fibers
-    scripts/mats out --draw                            only draws anew what out holds
+    scripts/mats out --draw                            only draws the tables in out again
 
-A study is a table NAME.csv with a row a run; runs that the table holds are not repeated. Each is a process of its own,
-so that processor time and memory are its own.
+A study is a table NAME.csv with a row a run. Runs that are in the table are not repeated. Each run is a process, and
+its processor time and memory are measured.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SIDE = 12.0 / np.sqrt(10.0)  # of the box (um) over the root of the number of fi
 PRESSED = 0.2  # approach of the planes over the thickness of the mat
 STEPS = 4
 QUIET = {"output.picture": "false", "output.fields": "none"}
-# The fewest contact points, where what is measured does not hang on the fibers' roundness.
+# The fewest contact points, for studies whose results do not depend on how round the fibers are.
 CHEAP = {"contact.method": "node", "contact.smoothing": "false"}
 ALIKE = 60.0  # force on a fiber at which voltages are compared, uN (2D: uN/um)
 # Sizes of elements over the scene's: 100 fibers have a million unknowns, or a tenth of that.
@@ -43,7 +43,7 @@ FINE, COARSE = 0.565, 1.6
 
 @dataclass(frozen=True)
 class Run:
-    """One run of a study: what is told apart by, the scene and the keys that differ from it, and on how many ranks."""
+    """One run of a study: its label, the shipped scene, the keys that differ from it, and the number of ranks."""
 
     label: dict[str, Any]
     scene: str
@@ -64,9 +64,9 @@ def mat(count: int, seed: int, steps: int = STEPS, finer: float = 1.0) -> dict[s
 
 
 def growth(fibers: list[int]) -> Iterator[Run]:
-    """Equal meshes for all numbers of fibers; a negative number asks for the fine mesh, on two ranks.
+    """Equal meshes for all numbers of fibers; a negative number stands for the fine mesh, on two ranks.
 
-    That one is solved to 1e-7: of the loosest fibers, which springs alone hold, contact comes and goes below.
+    The fine mesh is solved to 1e-7: below it, contact of the loosest fibers, which only springs hold, keeps changing.
     """
     for count in fibers:
         fine = FINE if count < 0 else COARSE
@@ -83,7 +83,7 @@ def seeds(fibers: list[int]) -> Iterator[Run]:
 
 
 def ranks(fibers: list[int]) -> Iterator[Run]:
-    """Twelve fibers on one to four ranks, solved sharply: half of the way."""
+    """Twelve fibers on one to four ranks, solved to 1e-11: half of the approach."""
     for count in range(1, 5):
         keys = mat(12, 1, finer=COARSE) | {"load.steps": [2], "load.factors.press": [2.0 / STEPS]} | CHEAP
         yield Run({"on": count}, "random_mat", keys | {"solver.tolerance": 1e-11, "solver.kind": "direct"}, count)
@@ -91,7 +91,7 @@ def ranks(fibers: list[int]) -> Iterator[Run]:
 
 def cooperativity(fibers: list[int]) -> Iterator[Run]:
     """Touching aligned fibers in 2D, in a row or in a column: pressed until each row has come 0.1 um nearer."""
-    away = {}  # walls that keep off, so that the row is free to spread
+    away = {}  # walls far outside, so that the row is free to spread
     for wall, inwards in ((2, 1), (3, -1)):
         away |= {f"planes.{wall}.point": [-99 * inwards, 0], f"planes.{wall}.normal": [inwards, 0]}
     for arrangement, columns, rows, walls in (
@@ -106,7 +106,7 @@ def cooperativity(fibers: list[int]) -> Iterator[Run]:
 
 
 STUDIES = {"growth": growth, "seeds": seeds, "ranks": ranks, "cooperativity": cooperativity}
-# What a row says beside what its run is told apart by.
+# Columns after those of the label.
 COLUMNS = (
     "outcome ranks unknowns crossings smallest_gap thickness approach steps newton krylov cutbacks force voltage "
     "voltage_alike stabilized processor_seconds seconds memory_mb reason"
@@ -119,12 +119,12 @@ def value(thing: Any) -> str:
 
 
 def carry_out(run: Run, out: Path) -> dict[str, Any]:
-    """The row of a run: what came out, or why nothing did."""
+    """Run and return the row of the table: results, or the reason of a failure."""
     sets = [f"{key}={value(thing)}" for key, thing in run.keys.items()]
     name = "-".join(f"{key}_{thing}" for key, thing in run.label.items())
     folder = out / f"{run.scene}-{name}"
     launcher = ["mpirun", "--oversubscribe", "-n", str(run.ranks)] if run.ranks > 1 else []
-    command = [*launcher, sys.executable, "-m", "mpi4py", "-m", "app", "run", run.scene, "--out", str(folder)]
+    command = [*launcher, sys.executable, "-m", "mpi4py", "-m", "piezomat", "run", run.scene, "--out", str(folder)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ended = subprocess.run([*command, "--set", *sets], check=False, capture_output=True, text=True, env=bare())
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -155,18 +155,18 @@ def carry_out(run: Run, out: Path) -> dict[str, Any]:
 
 
 def alike(forces: list[float], voltages: list[float]) -> str:
-    """The voltage at a force of ALIKE, between the steps; nothing where it was not reached."""
+    """The voltage at a force of ALIKE, interpolated between the steps; empty if it was not reached."""
     return f"{np.interp(ALIKE, forces, voltages):.6g}" if forces[-1] >= ALIKE else ""
 
 
 def bare() -> dict[str, str]:
-    """The environment for a process that is not to take itself for a rank of this one."""
+    """The environment without the variables of MPI, so that a child process is not a rank of this one."""
     ours = ("OMPI_COMM", "OMPI_MCA", "OMPI_UNIVERSE", "PMI", "PRTE_", "SLURM_")
     return {name: thing for name, thing in os.environ.items() if not name.startswith(ours)} | {"OMP_NUM_THREADS": "1"}
 
 
 def recipe(scene: str, sets: list[str]) -> dict[str, Any]:
-    """What the recipe came to."""
+    """Columns about the geometry: crossings, smallest gap, thickness."""
     outcome = Scene.load(scene, sets).geometry.outcome()
     gap = "" if outcome.smallest_gap is None else f"{outcome.smallest_gap:.3g}"
     thickness = outcome.high[-1] - outcome.low[-1]
@@ -174,7 +174,7 @@ def recipe(scene: str, sets: list[str]) -> dict[str, Any]:
 
 
 def study(name: str, runs: list[Run], out: Path) -> None:
-    """Carry out what the table lacks; every row is in it as soon as its run has ended."""
+    """Carry out the runs that are missing in the table; each row is written as soon as its run has ended."""
     path = out / f"{name}.csv"
     for run in runs:
         label = {key: str(thing) for key, thing in run.label.items()}
@@ -237,11 +237,12 @@ DRAWINGS = {"growth": draw_growth, "cooperativity": draw_cooperativity}
 
 
 def main() -> None:
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("out", nargs="?", type=Path, default=Path("results/mats"))
     parser.add_argument("--studies", nargs="+", choices=list(STUDIES), default=list(STUDIES))
     parser.add_argument("--fibers", nargs="+", type=int, default=[10, 30, 100], help="of growth; -100: finer, 2 ranks")
-    parser.add_argument("--draw", action="store_true", help="only draw what there is")
+    parser.add_argument("--draw", action="store_true", help="only draw the tables in OUT")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     for name in given.studies:

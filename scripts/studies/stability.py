@@ -1,12 +1,12 @@
-"""Sweeps the maps of contact: where each method is right, converged but wrong, or failed, and why.
+"""Maps of contact: where each method is right, converges to a wrong solution, or fails, and why.
 
     scripts/stability                             all maps, into results/stability: an hour or more on 2 cores
     scripts/stability out --maps penalty ratio    some of them, into another folder
-    scripts/stability out --draw                  only draws anew what out holds
+    scripts/stability out --draw                  only draws the tables in out again
 
 A map is a table NAME.csv with a row a cell (error, Newton iterations, cuts, seconds, reason) and a picture NAME.png.
-Cells that the table holds are not run again. The methods are in stability_methods.py, scenes and
-references in stability_maps.py.
+Cells that are in the table are not run again. The methods are in stability_methods.py, scenes and references in
+stability_maps.py.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from scripts.studies.stability_methods import METHODS
 
 COLUMNS = ["method", "x", "y", "outcome", "error", "newton", "cutbacks", "seconds", "reason"]
 OUTCOMES = {"right": "#7fbf7b", "wrong": "#d73027", "failed": "#bdbdbd"}
-# What the reasons of failures come down to, with the letter that stands for it in a cell.
+# Part of the reason of a failure -> its letter in a cell and what it means.
 REASONS = {
     "needs more than": "N: Newton's method does not end",
     "flies away": "F: a body flies away",
@@ -48,7 +48,7 @@ OTHER = "O: other, see the table"
 
 
 def minus_as_plus(interfaces_of: Any) -> Any:
-    """The paper's printed sign of the electric term: a penalty below zero is its other sign."""
+    """`interfaces_of` with the sign of the electric term as printed in the paper: negative electric penalties."""
 
     def flipped(model: Any) -> Any:
         contact = interfaces_of(model)
@@ -61,7 +61,7 @@ def minus_as_plus(interfaces_of: Any) -> Any:
 
 
 def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
-    """One cell of a map: what came out, as a row of its table."""
+    """Run one cell of a map; the row of its table."""
     from piezomat import simulation
     from piezomat.scene import SceneError
 
@@ -72,7 +72,7 @@ def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
     start = time.perf_counter()
     try:
         sign = minus_as_plus(simulation.interfaces_of) if method.plus else simulation.interfaces_of
-        with patch.object(simulation, "contact_of", sign):
+        with patch.object(simulation, "interfaces_of", sign):
             finished = simulation.run(study.scene(method, x, y), MPI.COMM_SELF)
         error = study.error(finished, x, y)
         row["outcome"] = "right" if error <= study.tolerance else "wrong"
@@ -85,7 +85,7 @@ def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
 
 
 def cells(study: Map, done: set[tuple[str, str, str]]) -> Iterator[tuple[str, int, Any, Any]]:
-    """The cells of a map that its table does not hold."""
+    """The cells of a map that are not in its table."""
     for column, method in enumerate(METHODS):
         if method.name not in study.methods:
             continue
@@ -96,7 +96,7 @@ def cells(study: Map, done: set[tuple[str, str, str]]) -> Iterator[tuple[str, in
 
 
 def sweep(study: Map, out: Path, pool: Any) -> None:
-    """Run what the map lacks; every row is in its table as soon as its cell has ended."""
+    """Run the cells that are missing in the table; each row is written as soon as its cell has ended."""
     path = out / f"{study.name}.csv"
     done = {(row["method"], row["x"], row["y"]) for row in tables.rows(path)}
     todo = list(cells(study, done))
@@ -107,7 +107,7 @@ def sweep(study: Map, out: Path, pool: Any) -> None:
 
 
 def letter(reason: str) -> str:
-    """The letter of a failure's reason and what it means."""
+    """The letter of the reason of a failure and what it means."""
     return next((words for start, words in REASONS.items() if start in reason), OTHER)
 
 
@@ -162,7 +162,7 @@ def draw(study: Map, rows: list[dict[str, str]], path: Path) -> None:
 
 
 def short(value: float) -> str:
-    """A tick's label: a number, a fraction of small numbers, or a power of ten."""
+    """Label of a tick: a number, a fraction of small numbers, or a power of ten."""
     fraction = Fraction(value).limit_denominator(8)
     if fraction.denominator > 1 and fraction.numerator < 4 and abs(fraction - value) < 1e-9 and value != 0.5:
         return str(fraction)
@@ -178,11 +178,12 @@ def percent(error: str) -> str:
 
 
 def main() -> None:
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("out", nargs="?", type=Path, default=Path("results/stability"))
     parser.add_argument("--maps", nargs="+", choices=list(MAPS), default=list(MAPS))
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--draw", action="store_true", help="only draw what there is")
+    parser.add_argument("--draw", action="store_true", help="only draw the tables in OUT")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     with multiprocessing.get_context("spawn").Pool(given.jobs) as pool:

@@ -1,7 +1,7 @@
 """The maps of scripts/stability: for each cell a scene, and the error of its answer against a reference.
 
-References are closed forms (tests/references.py), conservation laws and, for the force on half discs, a calculation
-without contact elements (stability_reference.py); none is a finer run of our own.
+References are closed forms (tests/verification/references.py), conservation laws and, for the force on half discs, a
+calculation without contact elements (stability_reference.py). None is a finer run of piezomat.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ UNSMOOTHED = tuple(method.name for method in METHODS if "smoothed" not in method
 
 @dataclass(frozen=True)
 class Map:
-    """A map: its axes, the tolerance of the error, and what a cell runs and measures.
+    """A map: its axes, the tolerance of the error, the scene of a cell and its error.
 
     scene(method, x, y); error(run, x, y): relative error of the answer against `reference`.
     """

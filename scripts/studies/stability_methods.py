@@ -8,7 +8,7 @@ from typing import Any
 from piezomat.scene import Scene
 from tests.verification import references as ref
 
-STIFFNESS = float(ref.PVDF.stiffness[2, 2])  # of contact.normal_penalty_factor's definition, nearly
+STIFFNESS = float(ref.PVDF.stiffness[2, 2])  # nearly the stiffness that contact.normal_penalty_factor multiplies
 QUIET = {"fields": "none", "picture": False}
 
 
@@ -26,7 +26,7 @@ class Method:
         """A scene with this method; `contact` and `mesh` are added to its own."""
         contact, mesh = {**self.contact, **sections.pop("contact", {})}, sections.pop("mesh", {})
         if contact.get("nodal_weight") == "unit" and "normal_penalty_factor" in contact:
-            # A spring a node has no area: times stiffness alone it is as stiff as the others' are on a facet.
+            # One spring per node has no area: with the factor times the stiffness it equals the others on a facet.
             contact["normal_penalty"] = contact.pop("normal_penalty_factor") * STIFFNESS
         return Scene(
             **{

@@ -1,8 +1,8 @@
-"""The force on two half discs pressed together, without any of the contact code: the reference of two maps.
+"""The force on two half discs pressed together, computed without the contact code: the reference of two maps.
 
 Equal elastic half discs meet on the plane between them, so that each presses on a rigid plane without friction: nodal
 displacements are bounded by the plane, and an active set finds the ones that touch. There is no search, no penalty and
-no second mesh. The numbers that scripts/stability_maps.py takes are those of
+no second mesh. The numbers in stability_maps.py are printed by
 
     .venv/bin/python -m scripts.studies.stability_reference
 """

@@ -1,4 +1,4 @@
-"""Tables of studies: CSV files with a row a run, which is in the file as soon as its run has ended."""
+"""Tables of studies: CSV files with a row a run, written as soon as its run has ended."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def append(path: Path, columns: Sequence[str], row: dict[str, Any]) -> None:
-    """Add a row to a table, below the names of its columns. What the row lacks stays empty."""
+    """Append a row to a table, whose first line names the columns. Missing values stay empty."""
     new = not path.exists() or path.stat().st_size == 0
     with path.open("a", newline="") as file:
         table = csv.DictWriter(file, columns)

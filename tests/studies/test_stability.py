@@ -1,4 +1,4 @@
-"""The references of scripts/stability: the force on half discs, with contact elements and without."""
+"""scripts/stability: cells of a map, and the force on half discs, with contact elements and without."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.simulation import run
+from scripts.studies import tables
+from scripts.studies.stability import run_cell
 from scripts.studies.stability_maps import FORCES, MODULUS, POISSON, RADIUS, RELATIVE, YOUNG
+from scripts.studies.stability_methods import METHODS
 from scripts.studies.stability_reference import force
+from scripts.studies.two_fibers import ROOT
 from tests.scenes import press
 from tests.verification.references import hertz_line
 
@@ -39,3 +43,15 @@ def test_reference_forces_are_near_hertz(approach: float) -> None:
     load = FORCES["small", approach]
     depth = 2.0 * math.log(2.0 * RADIUS / hertz_line(load, RELATIVE, MODULUS).size) - POISSON / (1.0 - POISSON)
     assert 0.90 < 2.0 * load * (1.0 - POISSON**2) / (math.pi * YOUNG) * depth / approach < 0.96
+
+
+@pytest.mark.parametrize("method", ["paper", "point"])
+def test_a_cell_is_what_the_map_shows(method: str) -> None:
+    """The sign of the electric term as the paper prints it (column `paper`) leads to another error than ours."""
+    table = tables.rows(ROOT / "scripts" / "studies" / "maps" / "coupling.csv")
+    cell = {"method": method, "x": "5", "y": "10.0"}
+    (expected,) = (row for row in table if cell.items() <= row.items())
+    column = [m.name for m in METHODS].index(method)
+    found = run_cell(("coupling", column, 5, 10.0))
+    assert found["outcome"] == expected["outcome"]
+    assert float(found["error"]) == pytest.approx(float(expected["error"]), rel=2e-2)
