@@ -87,7 +87,7 @@ class ActiveSetPrediction:
                 self.linear.linearize(x)  # with more candidates
             problem.linearized_contact_residual(change, self._work)
             self._right.axpy(-1.0, self._work)
-            self._right.array[problem.model.constraints.fixed] = 0.0
+            problem.model.constraints.set_zero(self._right)
             with problem.timer("linear_solve"):
                 ksp.setOperators(*self.linear.operators)
                 ksp.solve(self._right, self._work)

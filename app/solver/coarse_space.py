@@ -51,8 +51,9 @@ def interpolation(model: Model, stiffness: PETSc.Mat) -> PETSc.Mat:
 
 def _aggregates(model: Model) -> list[NDArray[np.int64]]:
     """This rank's nodes in each box of each part of the model."""
-    x, part = model.unknowns.coordinates[: model.unknowns.owned], model.parts.node_part[: model.unknowns.owned]
-    edge = (AGGREGATE_NODES * model.parts.volume * model.unknowns.block / model.unknowns.total) ** (1.0 / model.dim)
+    unknowns, parts = model.unknowns, model.parts
+    x, part = unknowns.coordinates[: unknowns.owned], parts.node_part[: unknowns.owned]
+    edge = (AGGREGATE_NODES * parts.volume * unknowns.block / unknowns.total) ** (1.0 / model.dim)
     keys = np.column_stack([part, np.floor(x / edge).astype(np.int64)])
     _, box, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     return np.split(np.argsort(box.ravel(), kind="stable"), np.cumsum(count))[:-1]
@@ -61,9 +62,7 @@ def _aggregates(model: Model) -> list[NDArray[np.int64]]:
 def _motions(model: Model) -> PETSc.Mat:
     """Orthonormal rigid motions of the aggregates at the nodes, zero where a displacement is prescribed."""
     d, n = model.dim, model.unknowns.owned
-    free = np.ones(n * model.unknowns.block)
-    free[model.constraints.fixed] = 0.0
-    free = free.reshape(n, model.unknowns.block)[:, :d, None]
+    free = ~model.constraints.is_fixed[:, :d, None]
     rows, columns, values, count = [], [], [], 0
     for nodes in _aggregates(model):
         away = model.unknowns.coordinates[nodes] - model.unknowns.coordinates[nodes].mean(axis=0)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
@@ -47,6 +46,7 @@ class Condensation:
         self.problem = problem
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.unknowns.block
+        self._unknowns = problem.model.unknowns.numbers
         self.candidates = np.zeros(0, np.int64)
         motion = problem.model.prescription.largest_motion() or problem.contact.least_search_radius()
         self._distance = CANDIDATE_DISTANCE * motion
@@ -57,7 +57,7 @@ class Condensation:
         self._factors = SchurFactors()
         self._parts = self._divide()
         self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
-        unknowns = _unknowns(self._nodes, self.block)
+        unknowns = self._unknowns(self._nodes)
         self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.constraints.fixed_global)))
         self._scatter = GhostScatter(problem.state, PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF))
 
@@ -97,7 +97,7 @@ class Condensation:
         self._factors.destroy()
         problem, b = self.problem, self.block
         self.candidates = candidates
-        sets = [PETSc.IS().createGeneral(_unknowns(part, b), comm=MPI.COMM_SELF) for part in self._parts]
+        sets = [PETSc.IS().createGeneral(self._unknowns(part), comm=MPI.COMM_SELF) for part in self._parts]
         bulk = problem.bulk_stiffness()
         matrices = bulk.createSubMatrices(sets, sets)
         bulk.destroy()
@@ -105,7 +105,7 @@ class Condensation:
         shifts, places, first = [np.zeros(0)], [np.zeros(0, np.int64)], 0
         self._factors = SchurFactors()
         for part, matrix in zip(self._parts, matrices, strict=True):
-            outer = _unknowns(np.flatnonzero(np.isin(part, candidates)), b)
+            outer = self._unknowns(np.flatnonzero(np.isin(part, candidates)))
             # Unconstrained parts leave K singular: springs of the bulk's own stiffness are added at the candidates, and
             # subtracted from S. The potential's block is negative.
             diagonal = matrix.getDiagonal()
@@ -118,8 +118,8 @@ class Condensation:
         give_back_memory()
         self._shift, self._kept = np.concatenate(shifts), np.concatenate(places)
         reduced = self._factors.complement() - np.diag(self._shift)
-        unknowns = _unknowns(candidates, b)
-        self._reduced_rows = np.searchsorted(unknowns, _unknowns(self._nodes, b)[self._kept])
+        unknowns = self._unknowns(candidates)
+        self._reduced_rows = np.searchsorted(unknowns, self._unknowns(self._nodes)[self._kept])
         gathered = self.comm.gather((self._reduced_rows, reduced, ~self._fixed[self._kept]))
         self._last_interior = np.zeros(first), np.zeros(len(self._kept))  # forces, and their effect on the candidates
         self._reduced: Array | None = None
@@ -244,7 +244,7 @@ class Condensation:
     def _divide(self) -> list[Integers]:
         """Nodes of each part of this rank, sorted: whole parts, the largest first to the rank with the least."""
         model = self.problem.model
-        start = model.unknowns.space.dofmap.index_map.local_range[0]
+        start = model.unknowns.first_node
         owned = model.parts.node_part[: model.unknowns.owned]
         count = self.comm.allreduce(np.bincount(owned, minlength=len(model.parts.size)), op=MPI.SUM)
         load = np.zeros(self.comm.size)
@@ -255,7 +255,3 @@ class Condensation:
         here = [np.flatnonzero(rank_of[owned] == rank) for rank in range(self.comm.size)]
         nodes, parts = np.concatenate(self.comm.alltoall([np.stack([start + n, owned[n]]) for n in here]), axis=1)
         return [np.sort(nodes[parts == part]) for part in np.unique(parts)]
-
-
-def _unknowns(nodes: Integers, block: int) -> NDArray[np.int32]:
-    return (nodes[:, None] * block + np.arange(block)).ravel().astype(PETSc.IntType)

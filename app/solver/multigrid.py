@@ -77,14 +77,10 @@ class Multigrid:
         model = self.problem.model
         if not model.electric:
             return
-        start = model.unknowns.space.dofmap.index_map.local_range[0]
-        nodes = np.arange(start, start + model.unknowns.owned)
-        d, block = model.dim, model.unknowns.block
-        displacement = (nodes[:, None] * block + np.arange(d)).ravel().astype(PETSc.IntType)
-        u = PETSc.IS().createGeneral(displacement, comm=self.problem.comm)
-        u.setBlockSize(d)
+        u = PETSc.IS().createGeneral(model.unknowns.displacement_numbers(), comm=self.problem.comm)
+        u.setBlockSize(model.dim)
         u.compose("nearnullspace", self._rigid)
-        phi = PETSc.IS().createGeneral((nodes * block + d).astype(PETSc.IntType), comm=self.problem.comm)
+        phi = PETSc.IS().createGeneral(model.unknowns.potential_numbers(), comm=self.problem.comm)
         self._displacements = u
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.FIELDSPLIT)

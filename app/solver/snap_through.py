@@ -65,26 +65,25 @@ def snap_through_work(problem: Problem) -> Array | None:
     if contact is None or not contact.adhesive:
         return None
     end = problem.state.copy()
-    change = problem.model.unknowns.displacements(end - problem.converged_state)
-    fixed = np.zeros(len(problem.residual_with_reactions.array_r), bool)
-    fixed[problem.model.constraints.fixed] = True
-    fixed = fixed.reshape(-1, problem.model.unknowns.block)[:, : problem.model.dim]
+    unknowns = problem.model.unknowns
+    displacements = unknowns.displacements
+    change = displacements(end) - displacements(problem.converged_state)
+    fixed = problem.model.constraints.is_fixed[:, : problem.model.dim]
     is_viscous, contact.viscous_regularization = contact.viscous_regularization, False
 
     def power(share: float) -> Array:
         x = (1.0 - share) * problem.converged_state + share * end
         problem.residual(x, x.duplicate())
-        work = problem.model.unknowns.displacements(problem.residual_with_reactions) * change
-        applied = problem.model.unknowns.displacements(problem.loads.vector) * change
+        work = displacements(problem.residual_with_reactions) * change
+        applied = displacements(problem.loads.vector) * change
         outside, free = (work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()
         return parallel.total(problem.comm, np.array([outside, free]))
 
     values = [power(0.0)]
-    energy, forces = _energy(problem, problem.converged_state), problem.residual_with_reactions.array_r.copy()
+    energy, forces = _energy(problem, problem.converged_state), unknowns.by_node(problem.residual_with_reactions).copy()
     values += [power(0.5), power(1.0)]
-    gained = (
-        _energy(problem, end) - energy - _electric_work(problem, end, problem.residual_with_reactions.array_r - forces)
-    )
+    forces = unknowns.by_node(problem.residual_with_reactions) - forces
+    gained = _energy(problem, end) - energy - _electric_work(problem, end, forces)
     found = _simpson(values)
     uncertain = SNAPPED * abs(values[-1][0] - values[0][0])
     snaps = is_viscous or found[0] - gained > uncertain
@@ -106,14 +105,15 @@ def _energy(problem: Problem, x: PETSc.Vec) -> float:
 
 
 def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:
-    """Work of the charges that flow to prescribed potentials while the forces change, up to the state `end`, pJ."""
-    model = problem.model
-    if not model.electric:
+    """Work of the charges that flow to prescribed potentials up to the state `end`, pJ.
+
+    change (owned nodes, block): of the forces and charges.
+    """
+    if not problem.model.electric:
         return 0.0
-    twice, charge = (
-        v.reshape(-1, model.unknowns.block)[:, -1] for v in (end.array_r + problem.converged_state.array_r, change)
-    )
-    return problem.comm.allreduce(float(-0.5 * twice @ charge), op=MPI.SUM)
+    potentials = problem.model.unknowns.potentials
+    twice = potentials(end) + potentials(problem.converged_state)
+    return problem.comm.allreduce(float(-0.5 * twice @ change[:, -1]), op=MPI.SUM)
 
 
 def _simpson(values: list[Array]) -> Array:

@@ -26,8 +26,8 @@ class TangentOperator:
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent times x."""
-        fixed = self.problem.model.constraints.fixed
+        constraints = self.problem.model.constraints
         x.copy(self._free)
-        self._free.array[fixed] = 0.0
+        constraints.set_zero(self._free)
         self.problem.multiply(self._free, result)
-        result.array[fixed] = x.array_r[fixed]
+        result.array[constraints.fixed] = x.array_r[constraints.fixed]
