@@ -144,8 +144,3 @@ def owned(values: Any) -> Array:
     """What this rank owns of a Function's values, as of a vector made from a form on the same space."""
     index_map = values.function_space.dofmap.index_map
     return values.x.array[: index_map.size_local * values.function_space.dofmap.index_map_bs]
-
-
-def slope(f: Callable[[float], Any], step: float) -> Any:
-    """f'(0) by central differences, exact for polynomials up to degree 4 but for rounding."""
-    return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)

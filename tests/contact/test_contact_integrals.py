@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import dolfinx
@@ -26,6 +25,7 @@ from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.surface import node_coordinates
 from piezomat.scene import Scene
 from tests.bulk import assemble_matrix, assemble_vector
+from tests.derivative import slope
 from tests.facets import KINDS, PairBatch, warped_facets
 
 each_kind = pytest.mark.parametrize("name", KINDS)
@@ -164,11 +164,6 @@ class Batch(PairBatch):
             self.potentials(q),
             tangent=tangent,
         )
-
-
-def slope(f: Callable[[float], Any], step: float) -> Any:
-    """f'(0) by central differences of order 4."""
-    return (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
 
 
 @each_kind

@@ -12,6 +12,7 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.cohesive import CUTOFF_DROP, ELECTRIC_RELEASE, CohesiveLaw
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
+from tests.derivative import slope
 
 STRENGTH, ENERGY, PENALTY, RHO, FADE = 5.0, 0.05, 2000.0, 0.3, 0.004
 ELASTIC = STRENGTH / PENALTY  # 0.0025 um
@@ -79,11 +80,6 @@ def after(law: InterfaceLaw, history: History, *gaps: float | Array) -> History:
         gap = np.broadcast_to(gap, history.opening.shape)
         history = history.advanced(gap, law.touching(gap))
     return history
-
-
-def slope(f: Callable[[float], Array], step: float) -> Array:
-    """f'(0) by central differences, exact for polynomials of degree 4."""
-    return (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
 
 
 def electrified(

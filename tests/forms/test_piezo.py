@@ -33,10 +33,10 @@ from tests.bulk import (
     nodes,
     owned,
     shaken,
-    slope,
     unit_mesh,
     wavy,
 )
+from tests.derivative import slope
 
 pytestmark = pytest.mark.mpi
 

@@ -144,19 +144,46 @@ def measure(dim: int, entities: list[int]) -> float:
 
 @pytest.mark.parametrize(("cells", "order"), KINDS)
 @pytest.mark.parametrize("name", CASES)
-def test_bodies_and_groups_have_their_exact_measure(name: str, cells: str, order: int) -> None:
+def test_a_shape_has_exact_groups_and_sound_cells(name: str, cells: str, order: int) -> None:
+    """One mesh for each shape and kind of cell: its groups, its cells, and the nodes that bodies share."""
     shape, exact = CASES[name]
-    round_shape = not isinstance(shape, StackedBlocks | Cantilever)
     with built(shape, MeshSizes(0.4, 0.25, order, cells)) as groups:
-        dim = shape.dimension
-        assert tuple(g.name for g in gmsh_model.groups(dim)) == shape.bodies()
-        assert tuple(g.name for g in gmsh_model.groups(dim - 1)) == shape.facet_groups()
-        assert set(groups) == set(exact)
-        # The chord of an angle a loses a^2 / 24 of an arc and a^2 / 6 of the area, a parabola far less.
-        tolerance = 1e-12 if not round_shape else (0.1 if order == 1 else 2e-3)
-        for group, value in exact.items():
-            found = measure(dim if group in shape.bodies() else dim - 1, groups[group])
-            assert found == pytest.approx(value, rel=tolerance), group
+        assert_exact_measures(shape, groups, exact, order)
+        assert_complete_and_sound_cells(shape, groups, cells, order)
+        assert_only_a_cantilever_shares_nodes(shape, groups)
+
+
+def assert_exact_measures(shape: Shape, groups: dict[str, list[int]], exact: dict[str, float], order: int) -> None:
+    round_shape = not isinstance(shape, StackedBlocks | Cantilever)
+    dim = shape.dimension
+    assert tuple(g.name for g in gmsh_model.groups(dim)) == shape.bodies()
+    assert tuple(g.name for g in gmsh_model.groups(dim - 1)) == shape.facet_groups()
+    assert set(groups) == set(exact)
+    # The chord of an angle a loses a^2 / 24 of an arc and a^2 / 6 of the area, a parabola far less.
+    tolerance = 1e-12 if not round_shape else (0.1 if order == 1 else 2e-3)
+    for group, value in exact.items():
+        found = measure(dim if group in shape.bodies() else dim - 1, groups[group])
+        assert found == pytest.approx(value, rel=tolerance), group
+
+
+def assert_complete_and_sound_cells(shape: Shape, groups: dict[str, list[int]], cells: str, order: int) -> None:
+    """Cells of one type with all nodes, not inverted, not flat."""
+    nodes = {("simplex", 2): (3, 6), ("simplex", 3): (4, 10), ("tensor", 2): (4, 9), ("tensor", 3): (8, 27)}
+    for body in shape.bodies():
+        for entity in groups[body]:
+            (found,) = gmsh_model.elements(shape.dimension, entity)
+            assert found.nodes.shape[1] == nodes[cells, shape.dimension][order - 1]
+            assert gmsh.model.mesh.getElementQualities(found.tags, "minDetJac").min() > 0
+            assert gmsh.model.mesh.getElementQualities(found.tags, "minSICN").min() > 0.01
+
+
+def assert_only_a_cantilever_shares_nodes(shape: Shape, groups: dict[str, list[int]]) -> None:
+    nodes = []
+    for body in shape.bodies():
+        found = [e.nodes.ravel() for entity in groups[body] for e in gmsh_model.elements(shape.dimension, entity)]
+        nodes.append(set(np.concatenate(found).tolist()))
+    for first, second in pairwise(nodes):
+        assert bool(first & second) == isinstance(shape, Cantilever)
 
 
 @pytest.mark.parametrize(("cells", "order"), KINDS)
@@ -168,39 +195,6 @@ def test_volumes_converge_with_the_order_of_the_geometry(shape: Shape, cells: st
             errors.append(abs(measure(shape.dimension, groups["lower"]) - HALF))
     # Errors go as size^2 and size^4; numbers of cells are whole, so that halving is not exact.
     assert errors[0] / errors[1] > 0.6 * 4**order
-
-
-@pytest.mark.parametrize(("cells", "order"), KINDS)
-@pytest.mark.parametrize("name", CASES)
-def test_cells_are_of_one_complete_type_and_sound(name: str, cells: str, order: int) -> None:
-    shape, _ = CASES[name]
-    nodes = {
-        ("simplex", 2): (3, 6),
-        ("simplex", 3): (4, 10),
-        ("tensor", 2): (4, 9),
-        ("tensor", 3): (8, 27),
-    }
-    with built(shape, MeshSizes(0.5, 0.3, order, cells)) as groups:
-        dim = shape.dimension
-        for body in shape.bodies():
-            for entity in groups[body]:
-                (found,) = gmsh_model.elements(dim, entity)
-                assert found.nodes.shape[1] == nodes[cells, dim][order - 1]
-                assert gmsh.model.mesh.getElementQualities(found.tags, "minDetJac").min() > 0
-                assert gmsh.model.mesh.getElementQualities(found.tags, "minSICN").min() > 0.01
-
-
-@pytest.mark.parametrize("cells", ["simplex", "tensor"])
-@pytest.mark.parametrize("name", CASES)
-def test_only_a_cantilever_shares_nodes_between_bodies(name: str, cells: str) -> None:
-    shape, _ = CASES[name]
-    with built(shape, MeshSizes(0.5, 0.5, 1, cells)) as groups:
-        nodes = []
-        for body in shape.bodies():
-            found = [e.nodes.ravel() for entity in groups[body] for e in gmsh_model.elements(shape.dimension, entity)]
-            nodes.append(set(np.concatenate(found).tolist()))
-        for first, second in pairwise(nodes):
-            assert bool(first & second) == isinstance(shape, Cantilever)
 
 
 def cell_sizes(groups: dict[str, list[int]], body: str, dim: int) -> tuple[np.ndarray, np.ndarray]:
