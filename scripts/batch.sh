@@ -14,9 +14,9 @@
 #
 #     RANKS=4 scripts/batch.sh SCENE RESULTS [--set KEY=VALUE ...]
 #
-# A job that was ended before the run was (its time was up, a node went down) is started again by the same command: where
-# RESULTS holds a run that has not come to its end, it is resumed from its last converged step, on as many ranks as there
-# are now; the scene is then the copy in RESULTS. A run that is done is not repeated: give another RESULTS for another run.
+# The same command continues a job that ended before its run (time limit, failure of a node): if RESULTS contains an
+# unfinished run, it is resumed from its last converged step, on the present number of ranks, with the copy of the scene
+# in RESULTS. A finished run is not repeated: give another RESULTS for another run.
 #
 # PYTHON names the interpreter (default: the project's .venv), LAUNCHER what starts the ranks (default: mpirun).
 

@@ -1,11 +1,11 @@
-"""Makes a gmsh mesh for a scene of one's own: three parallel fibers packed as in a mat, two below and one above.
+"""Example of a gmsh mesh for your own scene: three parallel fibers packed as in a mat, two below and one above.
 
     .venv/bin/python scripts/make_fiber_mesh.py mat.msh                  three fibers that touch, 2D
     .venv/bin/python scripts/make_fiber_mesh.py mat.msh --above 0.3      a thinner one above
     .venv/bin/python scripts/make_fiber_mesh.py mat.msh --gmsh           shows it in gmsh's window, if there is one
 
-The scene app/scenes/own_mesh.toml uses what it makes. It is meant to be copied and changed: it needs gmsh alone and
-shows all that a mesh for piezomat has to have.
+The mesh of the scene app/scenes/own_mesh.toml is made by this script. Copy and change it: it needs gmsh alone and shows
+all that a mesh for piezomat must have.
 
 - One physical group of dimension 2 (in 3D: volumes) a body: its name is the key in the scene's [bodies]. Bodies that
   meet in contact share no nodes; those that share nodes are bonded.

@@ -4,13 +4,13 @@
     .venv/bin/python scripts/read_results.py results/fibers_2d       writes results/fibers_2d/read_results.png
     .venv/bin/python scripts/read_results.py results/fibers_2d --step 44
 
-It is meant to be copied and changed: it needs nothing of piezomat, and shows where each result is found.
+Copy and change it: it needs nothing of piezomat, and shows where each result is found.
 
 - history.csv has a row a load step. Column `contact_force_z@lower-upper` is the force on "lower" in uN (2D: uN a um of
   depth), `mean_potential@top` a potential in V, `factor:press` a load factor.
 - fields.pvd names the files of all steps and of all ranks. In them, at the points: displacement (um), potential (V); in
-  the cells: stress (MPa, order 11 22 33 23 13 12), electric_field (V/um), electric_displacement (pC/um2), body. What is
-  electric is there only if something in the scene has a permittivity.
+  the cells: stress (MPa, order 11 22 33 23 13 12), electric_field (V/um), electric_displacement (pC/um2), body. The
+  electric quantities exist only if a material of the scene has a permittivity.
 - contact.pvd does so for the contact points, at their places in the deformed state: gap (um), pressure (MPa), normal,
   potential_jump (V), status (0 apart, 1 touching, 2 bonded, 3 broken), pair.
 

@@ -36,7 +36,7 @@ text = Path(given.mesh).read_text()
 lines = text.split("PhysicalNames")[1].split("\n")[2:-1]
 number = {name.strip('"'): int(tag) for _, tag, name in (line.split() for line in lines)}
 with tempfile.TemporaryDirectory() as scratch:
-    # The import joins nodes at one place, such as where the bodies touch: it is given one of them a little aside.
+    # The import merges nodes with equal coordinates, such as where the bodies touch: one of them is moved by ASIDE.
     before, nodes, after = re.split(r"(?<=\$Nodes\n)|(?=\$EndNodes)", text)
     seen, apart = set(), []
     for line in nodes.splitlines():
@@ -107,12 +107,12 @@ last, iterations = None, []
 
 
 def reactions() -> np.ndarray:
-    """Forces of the bulk on each unknown: not zero where it is held or in contact."""
+    """Residual of the bulk on each unknown: not zero at constraints and in contact."""
     return gf.asm_generic(rule, 1, bulk, -1, model)
 
 
 def part(vector: np.ndarray, name: str) -> np.ndarray:
-    """The part of a vector over all unknowns that belongs to a variable."""
+    """The entries of a vector of all unknowns that belong to a variable."""
     first, count = model.interval_of_variable(name)
     return vector[first : first + count]
 

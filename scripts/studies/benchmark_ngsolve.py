@@ -69,8 +69,11 @@ def set_far_facets_aside(read, surfaces):
     for i in (0, 1):
         read.Add(FaceDescriptor(bc=index + i))
         read.SetBCName(index + i - 1, f"far_{surfaces[i]}")
-        apart, _ = cKDTree(place[np.unique(nodes[1 - i])]).query(place[nodes[i]].mean(axis=1))
-        for j in np.flatnonzero(apart > NEAR):
+        corners = place[nodes[i]]
+        centre = corners.mean(axis=1)
+        size = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        apart, _ = cKDTree(place[np.unique(nodes[1 - i])]).query(centre)
+        for j in np.flatnonzero(apart > NEAR + size):
             facets[i][j].index = index + i
 
 
