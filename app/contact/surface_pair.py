@@ -51,7 +51,7 @@ class SurfacePair(ContactPoints):
     closest: near points and their closest points
 
     Valid after an evaluation:
-    partner (r,): master facet of each projected point
+    master_facet (r,): master facet of each projected point
     force (r, d): force that each projected point exerts on the master, uN
     """
 
@@ -65,7 +65,7 @@ class SurfacePair(ContactPoints):
     covered: Booleans = field(init=False)
     facets: DetectedFacets = field(init=False)
     closest: ClosestPoints = field(init=False)
-    partner: Integers = field(init=False)
+    master_facet: Integers = field(init=False)
     force: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -106,7 +106,7 @@ class SurfacePair(ContactPoints):
     def update_projections(self, position: Array, limits: SearchLimits) -> None:
         """Find the closest points with the seen nodes at `position` (n, d). LinAlgError: facets have collapsed."""
         projected, self.position, self.projection = self.closest.update(position, limits)
-        self.projected_points, self.partner = self.near_points[projected], self.closest.facet[projected]
+        self.projected_points, self.master_facet = self.near_points[projected], self.closest.facet[projected]
 
     def overlap(self, position: Array) -> float:
         """Largest depth of the slave surface inside bodies of other parts, um, with the seen nodes at `position`."""
@@ -151,7 +151,7 @@ class SurfacePair(ContactPoints):
         if not self.segments:
             return False
         acts = (self.projection.gap < interaction_range) | (self.response.slope != 0.0)
-        rows, master, xi = self.projected_points[acts], self.partner[acts], self.projection.xi[acts]
+        rows, master, xi = self.projected_points[acts], self.master_facet[acts], self.projection.xi[acts]
         facets, facet = self.facets, self.points.facet[rows]
         points = np.einsum("mk,mkd->md", self.points.shape[rows], facets.slave_at(before, facet))
         nodes, orientation = facets.master_at(before, master), facets.master.orientation[master]
@@ -177,11 +177,11 @@ class SurfacePair(ContactPoints):
 
     def evaluate(self, at: NodalState, *, tangent: bool, viscous: bool) -> ContactTerms:
         """Terms of the projected points at the state that they were projected at; viscous: with viscous bonds."""
-        kind, rows, partner = self.slave.kind, self.projected_points, self.partner
+        kind, rows, master = self.slave.kind, self.projected_points, self.master_facet
         facet, xi, shape = self.points.facet[rows], self.points.xi[rows], self.points.shape[rows]
         self.jump = None
         if at.potentials is not None and self.law.electric_penalty is not None:
-            here, there = self.facets.potentials_at(at.potentials, facet, partner)
+            here, there = self.facets.potentials_at(at.potentials, facet, master)
             jump = np.einsum("mk,mk->m", shape, here)
             self.jump = at.scale * (jump - np.einsum("mk,mk->m", kind.shape(self.projection.xi), there))
         shift = self._shift(facet, xi)
@@ -197,7 +197,7 @@ class SurfacePair(ContactPoints):
             scaled.electric_curvature = at.scale**2 * r.electric_curvature
             charge = at.scale * charge
         scaled = Response(**{name: value[active] for name, value in scaled.__dict__.items()})
-        facet, partner = facet[active], partner[active]
+        facet, master = facet[active], master[active]
         vectors, matrices = contact_vectors(
             kind,
             self.projection[active],
@@ -209,21 +209,21 @@ class SurfacePair(ContactPoints):
             there[active] if self.jump is not None else None,
             tangent=tangent,
             geometric_stiffness=at.consistent_tangent,
-            roundings=self.facets.roundings_of(facet, partner),
+            roundings=self.facets.roundings_of(facet, master),
         )
         d = at.position.shape[1]
         self.force = np.zeros((len(rows), d))
         self.force[active] = -vectors[:, : vectors.shape[1] // 2, :d].sum(axis=1)
-        pair = facet * max(len(self.facets.master), 1) + partner
-        return ContactTerms.summed(pair, self.facets.nodes_of(facet, partner), vectors, matrices)
+        pair = facet * max(len(self.facets.master), 1) + master
+        return ContactTerms.summed(pair, self.facets.nodes_of(facet, master), vectors, matrices)
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """First-order changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
-        rows, partner = self.projected_points, self.partner
+        rows, master = self.projected_points, self.master_facet
         facet, there = self.points.facet[rows], None
         if self.jump is not None:
-            there = self.facets.potentials_at(at.potentials, facet, partner)[1]
-        nodes, roundings = self.facets.nodes_of(facet, partner), self.facets.roundings_of(facet, partner)
+            there = self.facets.potentials_at(at.potentials, facet, master)[1]
+        nodes, roundings = self.facets.nodes_of(facet, master), self.facets.roundings_of(facet, master)
         kind, shape = self.slave.kind, self.points.shape[rows]
         changes = first_changes(kind, self.projection, shape, change[nodes], there, roundings=roundings)
         return changes * [[1.0], [at.scale or 0.0]]
@@ -231,26 +231,26 @@ class SurfacePair(ContactPoints):
     def facet_pairs_within(self, distance: float) -> Integers:
         """Nodes (k, 2 n) of the pairs of facets with a gap below `distance` (um) plus half a facet."""
         near = self._near_contact(distance)
-        facet, partner = self.points.facet[self.projected_points[near]], self.partner[near]
-        pairs = np.unique(np.stack([facet, partner], axis=1), axis=0)
+        facet, master = self.points.facet[self.projected_points[near]], self.master_facet[near]
+        pairs = np.unique(np.stack([facet, master], axis=1), axis=0)
         return self.facets.nodes_of(pairs[:, 0], pairs[:, 1])
 
     # --- Bodies and pairs ---
 
-    def partner_component(self) -> Integers:
+    def master_component(self) -> Integers:
         """Connected component (r,) that each projected point meets."""
-        return self.facets.master.component[self.partner]
+        return self.facets.master.component[self.master_facet]
 
     def is_self_contact(self) -> Booleans:
         """Whether each projected point (r,) meets its own connected part."""
-        return self.facets.same_part(self.points.facet[self.projected_points], self.partner)
+        return self.facets.same_part(self.points.facet[self.projected_points], self.master_facet)
 
     def touching_bodies(self, pairs: Pairs) -> set[int]:
         """Bodies in contact with other connected parts."""
         closed = (self.gap <= self.law.equilibrium_gap) & ~self.is_self_contact()
         found = set(np.unique(self.slave.body[self.points.facet[self.projected_points[closed]]]).tolist())
         if pairs.named is None:
-            return found | set(self.rule.body(self.partner_component()[closed]).tolist())
+            return found | set(self.rule.body(self.master_component()[closed]).tolist())
         return found | self.master_bodies if closed.any() else found
 
     def pair_numbers(self, pairs: Pairs) -> tuple[Integers, Booleans]:
@@ -258,15 +258,15 @@ class SurfacePair(ContactPoints):
 
         Of a body and itself the first is the one with the smaller geodesic distance.
         """
-        rows, partner = self.projected_points, self.partner
+        rows = self.projected_points
         if pairs.named is not None:
             return np.full(len(rows), self.pair), np.full(len(rows), self.first)
         facet = self.points.facet[rows]
-        slave, master = self.rule.body(self.slave.component[facet]), self.rule.body(self.partner_component())
+        slave, master = self.rule.body(self.slave.component[facet]), self.rule.body(self.master_component())
         first = slave < master
         if self.facets.self_contact is not None:
             same = np.flatnonzero(slave == master)
-            first[same] = self.facets.self_contact.precedes(facet[same], partner[same])
+            first[same] = self.facets.self_contact.precedes(facet[same], self.master_facet[same])
         return pairs.of_bodies(slave, master), first
 
     def numbers_in_results(self, pairs: Pairs) -> Integers:

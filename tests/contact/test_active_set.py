@@ -1,4 +1,4 @@
-"""Foresight: the changes of gap and jump, the residual as foreseen, and steps that know which points they close."""
+"""Active-set predictor: changes of gap and jump, the predicted residual, and steps that close the right points."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def askew(**mesh: Any) -> Scene:
 
 
 def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Interfaces, Any, Any]:
-    """The scene's contact, paired at a random state, that state and a random change of it."""
+    """The scene's contact, detected at a random state, that state and a random change of it."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
     state, change = model.coordinate_vector(), model.coordinate_vector()
@@ -57,16 +57,16 @@ def paired(scene: Scene, comm: MPI.Comm, rng: np.random.Generator) -> tuple[Inte
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_what_a_plane_answers_is_foreseen_exactly(order: int, comm: MPI.Comm, rng: np.random.Generator) -> None:
-    """Gaps and jumps are linear there: residual and tangent as foreseen lead to the residual after the change."""
+def test_the_response_of_a_plane_is_predicted_exactly(order: int, comm: MPI.Comm, rng: np.random.Generator) -> None:
+    """Gaps and jumps are linear there: predicted residual and tangent lead to the residual after the change."""
     contact, state, change = paired(askew(order=order), comm, rng)
     for p in contact.planes:
         p.law.fade[:] = 0.3  # points in the fading part of the electric law count too
     contact.evaluate(state, tangent=True)
     (p,) = contact.planes
-    unforeseen = active_set.predict(contact, change)
+    missed = active_set.predict(contact, change)
     terms = contact.evaluate(state, tangent=True)
-    assert np.abs(active_set.predict(contact, change)).max() < 1e-12 * unforeseen.max()
+    assert np.abs(active_set.predict(contact, change)).max() < 1e-12 * missed.max()
     found, expected = state.duplicate(), state.duplicate()
     for vector in (found, expected):
         vector.set(0.0)
@@ -77,7 +77,7 @@ def test_what_a_plane_answers_is_foreseen_exactly(order: int, comm: MPI.Comm, rn
     contact.add_residual(contact.evaluate(moved, tangent=False), expected)
     assert np.linalg.norm((found - expected).array) < 1e-12 * np.linalg.norm(expected.array)
     closes = (at > 0.0) != (p.projection.gap > 0.0)
-    assert closes.any() and not closes.all() and unforeseen.min() > 0.0
+    assert closes.any() and not closes.all() and missed.min() > 0.0
 
 
 @pytest.mark.mpi
@@ -99,14 +99,14 @@ def test_the_start_value_closes_the_points_that_a_plane_meets(penalty: float, co
     assert all(row["newton"] <= 3 for row in run(scene, comm).history)
 
 
-def test_the_same_equilibrium_as_without_foresight(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_equilibrium_is_that_without_prediction(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     """In fewer iterations, the linear solves of which are counted."""
     scene = pressed(2, mesh={"size": 0.12, "contact_size": 0.03}, contact={"normal_penalty": 1e7})
-    foreseen = run(scene, comm).history
+    predicted = run(scene, comm).history
     monkeypatch.setattr(active_set_prediction, "MAX_PREDICTIONS", 0)
-    blind = run(scene, comm).history
-    assert_equal(foreseen, blind, ("newton", "krylov"))
-    for ours, theirs in zip(foreseen, blind, strict=True):
+    without = run(scene, comm).history
+    assert_equal(predicted, without, ("newton", "krylov"))
+    for ours, theirs in zip(predicted, without, strict=True):
         assert ours["newton"] < theirs["newton"] and ours["newton"] < ours["krylov"]
 
 
@@ -114,7 +114,7 @@ def test_the_same_equilibrium_as_without_foresight(comm: MPI.Comm, monkeypatch: 
     ("method", "order", "penalty", "steps"),
     [("node", 1, 1e6, 4), ("point", 2, 1e6, 4), ("segment", 2, 1e4, 1), ("segment", 2, 1e5, 1)],
 )
-def test_what_was_foreseen_in_vain_is_given_up(
+def test_predictions_that_fail_are_given_up(
     method: str, order: int, penalty: float, steps: int, comm: MPI.Comm
 ) -> None:
     """Where points go round corners; each of these once ran out of iterations, however its steps were cut."""

@@ -256,7 +256,7 @@ class Stack:
         state.array[:] = values.ravel()
         self.contact.detect(state, 1.0)
         terms = self.contact.evaluate(state, tangent=True)
-        assert len(self.contact.surface_pairs[0].partner) == len(self.contact.surface_pairs[0].points.weight)
+        assert len(self.contact.surface_pairs[0].master_facet) == len(self.contact.surface_pairs[0].points.weight)
         nodes, c = self.contact.global_nodes(terms), values.shape[1]
         count = len(values)
         residual, tangent = np.zeros((count, c)), np.zeros((count * c, count * c))

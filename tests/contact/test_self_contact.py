@@ -202,7 +202,7 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     scene = pressed_hairpin(hairpin(tmp_path / "hairpin.csv"), cells, electric_range=0.1, passes=passes)
     contact, position = moved(scene, closing)
     (p,) = contact.surface_pairs
-    rows, partner = p.projected_points, p.partner
+    rows, partner = p.projected_points, p.master_facet
     surfaces = p.facets.self_contact
     here, there = surfaces.slave.middle[p.points.facet[rows], 2], surfaces.master.middle[partner, 2]
     assert (here * there < 0.0).all() and (np.abs([here, there]) < RADIUS + 0.5 * LEGS_APART).all()
@@ -240,7 +240,7 @@ def test_what_did_not_face_each_other_may_meet_if_it_is_far_along(tmp_path: Path
     contact, _ = moved(scene, under)
     (p,) = contact.surface_pairs
     deep = np.flatnonzero(p.projection.gap < 0.0)
-    here, there = p.points.facet[p.projected_points[deep]], p.partner[deep]
+    here, there = p.points.facet[p.projected_points[deep]], p.master_facet[deep]
     slave, master = p.facets.self_contact.slave, p.facets.self_contact.master
     end = slave.middle[here, 0] < -0.5 * LEG
     assert end.sum() > 10

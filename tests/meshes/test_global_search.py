@@ -101,7 +101,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     normals = point_normals(p.slave.kind, p.points.xi, facets[own], p.slave.orientation[own])
     body = p.rule.body(p.slave.component)
     met = np.full(len(points), -1)
-    met[p.projected_points] = p.facets.master.key[p.partner]
+    met[p.projected_points] = p.facets.master.key[p.master_facet]
     chosen = rng.choice(len(points), 250, replace=False)
     chosen = np.union1d(chosen, rng.choice(p.projected_points, 100, replace=False))
     least, partner = np.full(len(points), np.inf), np.full(len(points), -1)
@@ -216,6 +216,6 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     (p,) = contact.surface_pairs
     slave, master = (
         p.rule.body(p.slave.component[p.points.facet[p.projected_points]]),
-        p.rule.body(p.partner_component()),
+        p.rule.body(p.master_component()),
     )
-    assert len(p.partner) > 20 and (slave < master).all() and p.share == 1.0
+    assert len(p.master_facet) > 20 and (slave < master).all() and p.share == 1.0
