@@ -45,8 +45,8 @@ load = { steps = [6, 6], factors = { press = [1.0, -0.2] } }
 solver = { tolerance = 1e-11 }
 output = { fields = "all", picture = false }
 """
-# `piezomat` with the wish to stop told to one rank after a step, as Ctrl-C or a batch system does.
-TOLD_TO_STOP = """
+# `piezomat` with a signal sent to one rank after a step, as by Ctrl-C or a batch system.
+STOPPED = """
 import os, signal, sys
 from mpi4py import MPI
 from piezomat import cli
@@ -227,10 +227,10 @@ def test_resume_of_a_finished_run(tmp_path: Path, whole: Rows) -> None:
 def test_signals(number: signal.Signals, ranks: int, tmp_path: Path) -> None:
     """In a process of its own, where nothing but the program has set handlers."""
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
-    (tmp_path / "told.py").write_text(TOLD_TO_STOP.format(after=AFTER), encoding="utf-8")
-    done = launch(ranks, tmp_path, "told.py", str(int(number)), "run", "scene.toml", "--out", "out")
-    told = f"interrupted: steps 1 to {AFTER} are kept in out\n"
-    assert done.stderr.startswith(told) if ranks > 1 else done.stderr == told  # Open MPI 5 tells of ranks in error
+    (tmp_path / "stopped.py").write_text(STOPPED.format(after=AFTER), encoding="utf-8")
+    done = launch(ranks, tmp_path, "stopped.py", str(int(number)), "run", "scene.toml", "--out", "out")
+    message = f"interrupted: steps 1 to {AFTER} are kept in out\n"
+    assert done.stderr.startswith(message) if ranks > 1 else done.stderr == message  # Open MPI 5 reports ranks in error
     assert done.returncode == 1 and done.stdout.count("step ") == AFTER
     check_files(tmp_path / "out", finished=False)
     assert len(read_history(tmp_path / "out" / "history.csv")) == AFTER

@@ -141,9 +141,7 @@ def test_ends_of_a_run(
 
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="ends all ranks")
-def test_anything_else_is_told_with_its_traceback(
-    scene: Path, simulated: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_any_other_error_shows_its_traceback(scene: Path, simulated: Any, capsys: pytest.CaptureFixture[str]) -> None:
     simulated(ZeroDivisionError("a bug"))
     assert cli.main(["run", "halves.toml"]) == 1
     err = capsys.readouterr().err
@@ -249,7 +247,7 @@ LATE = {
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("key", LATE)
-def test_all_ranks_learn_of_a_mistake_that_shows_late(
+def test_all_ranks_report_a_mistake_found_late(
     key: str, comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(shared_tmp_path)
