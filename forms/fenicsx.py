@@ -1,7 +1,7 @@
 """All that depends on the version of DOLFINx (0.5 in Debian 12, 0.9 in Debian 13, 0.11 on PyPI) and of its PETSc.
 
 This is what has changed from one to another, and what lies below the public interface (`dolfinx.cpp`, layouts of
-arrays), which may change. Nothing else asks for a version. The module imports nothing of the project.
+arrays), which may change. No other module reads a version. This one imports nothing of the project.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Material:
     """A linear piezoelectric (or dielectric, or elastic) material; built-in ones are poled along axis 3.
 
     stiffness (6, 6) at constant electric field, MPa; piezo (3, 6), pC/um2; permittivity (3, 3) at constant
-    strain, pC/(V um), or None: the material carries no potential. `source` says where the numbers come from.
+    strain, pC/(V um), or None: the material carries no potential. `source`: reference of the numbers.
     """
 
     stiffness: Array

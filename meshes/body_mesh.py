@@ -102,11 +102,11 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
 
     # Rank 0 sends each rank the data of its cells, so that no rank needs memory for all.
     wanted = comm.gather(fenicsx.original_cells(mesh))
-    answers, part_bodies = None, None
+    data, part_bodies = None, None
     if comm.rank == 0:
         part, part_bodies = connected_parts(mine.cells, mine.cell_body)
-        answers = [np.stack([mine.cell_body[cells], part[cells]]) for cells in wanted]
-    cell_body, cell_part = comm.scatter(answers)
+        data = [np.stack([mine.cell_body[cells], part[cells]]) for cells in wanted]
+    cell_body, cell_part = comm.scatter(data)
 
     indices, values = fenicsx.entities_from_nodes(mesh, dim - 1, mine.facets, mine.facet_values)
     owned = indices < mesh.topology.index_map(dim - 1).size_local

@@ -1,4 +1,4 @@
-"""Time of contact search and pairing alone over the number of fibers, and its growth exponent.
+"""Time of the contact search alone over the number of fibers, and its growth exponent.
 
     .venv/bin/python scripts/studies/contact_search.py 100 1000 10000
     mpirun -n 4 .venv/bin/python -m mpi4py scripts/studies/contact_search.py 10000    fibers shared among ranks
@@ -66,8 +66,8 @@ def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
     facets = facets_of_plies(low, high)[visible.key - low * each]
     points, normals = nodes.mean(axis=1), raw * sign[:, None]
     found = 0
-    meetings = CandidatePairs.near(points, component, facets, visible.component, MARGIN, rule)
-    for rows, theirs in zip(meetings.points, meetings.facets, strict=True):
+    candidates = CandidatePairs.near(points, component, facets, visible.component, MARGIN, rule)
+    for rows, theirs in zip(candidates.points, candidates.facets, strict=True):
         near = rows[near_points(points[rows], facets[theirs], MARGIN)]
         masters = Facets(kind, facets[theirs], visible.orientation[theirs], visible.key[theirs])
         met, *_ = closest_facets(points[near], normals[near], masters, MARGIN)

@@ -413,7 +413,7 @@ def test_nothing_answers_beyond_the_reach(kind: str, always: bool) -> None:
 
 
 def test_points_of_different_penalties_are_independent(rng: np.random.Generator) -> None:
-    """A law over many points answers at each as its own law there, through any selection of rows."""
+    """The response of a law over many points is that of the law of each point, for any selection of rows."""
     penalty = rng.uniform(1000.0, 4000.0, 30)
     adhesion = CohesiveLaw.bilinear(STRENGTH, ENERGY, penalty)
     law = InterfaceLaw(penalty, adhesion, rng.uniform(0.1, 1.0, 30), rng.uniform(1.0, 2.0, 30) * FADE)

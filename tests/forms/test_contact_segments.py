@@ -1,4 +1,4 @@
-"""Segments: pieces are a partition of each slave facet, no master edge runs between their points, both sides agree."""
+"""Segments: they are a partition of each slave facet, no master edge runs between their points, both sides agree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Referential to current: what must hold for any deformation."""
+"""Push-forward from referential to current fields: identities for any deformation."""
 
 from __future__ import annotations
 

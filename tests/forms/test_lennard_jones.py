@@ -195,7 +195,7 @@ def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
 
 
 def test_what_a_snap_sets_free_is_found_whether_or_not_a_drag_leads_through_it() -> None:
-    """Snap-in and snap-off set free what the closed form says, within 2 %, and all work is accounted for.
+    """Snap-in and snap-off release the energy of the closed form within 2 %, and the energy balance is closed.
 
     The drag leads through the snap-in, and Newton's method finds the other side of the snap-off by itself, with a step
     cut once: what is set free without a drag must not be lost.

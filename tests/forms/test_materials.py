@@ -155,7 +155,7 @@ def test_rotation_turns_material_axes_and_keeps_the_energy(poling: list[float], 
 
 
 def test_quarter_and_half_turns() -> None:
-    material = Material(  # no symmetry at all, so that every entry can be told from every other
+    material = Material(  # without symmetry, so that all entries differ
         np.diag([10.0, 20, 30, 4, 5, 6]) + np.fromfunction(lambda i, j: 0.1 * (i + j) + 0.01 * i * j, (6, 6)),
         np.arange(1.0, 19).reshape(3, 6),
         np.diag([1.0, 2, 3]),

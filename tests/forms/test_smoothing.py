@@ -1,4 +1,4 @@
-"""Smoothed facets: a surface through the nodes with a continuous normal, and contact that knows its derivatives."""
+"""Smoothed facets: a surface through the nodes with a continuous normal, and the derivatives of contact on it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def closed(x: Array) -> Surface:
     flat = Surface("", facet_kind("line2"), nodes.astype(np.int32), x[nodes], np.ones(n), np.arange(n), nodes[:, 0], x)
 
     class Space:
-        """What `smoothed` asks a space for."""
+        """The attributes of a space that `smoothed` uses."""
 
         class mesh:
             comm = MPI.COMM_SELF

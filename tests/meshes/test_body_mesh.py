@@ -169,7 +169,7 @@ def test_every_format_gives_the_same_mesh(tmp_path: Path, version: float, binary
     sizes = MeshSizes(0.5, 0.3)
     expected = arrays_of(FacingHalves(), sizes)
     path = write_mesh(tmp_path / "halves.msh", FacingHalves(), version, binary, order)
-    # What is read is given the order that is asked for.
+    # A mesh that is read gets the requested order.
     read = arrays_of(MeshFile(file=path), sizes)
     assert read.bodies == expected.bodies and read.facet_groups == expected.facet_groups
     np.testing.assert_array_equal(read.cell_body, expected.cell_body)

@@ -116,7 +116,7 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
         # The closest point of a warped facet's plane may lie far from a facet that the point is not over.
         nearer = (gap < least[rows]) & (p.slave.kind.overshoot(seen.xi) < 0.2)
         least[rows[nearer]], partner[rows[nearer]] = gap[nearer], p.slave.key[found[nearer]]
-    # A point further off than it can act need not know its partner.
+    # Points beyond the interaction range need no master facet.
     near = chosen[(least[chosen] < p.law.interaction_range) & (partner[chosen] >= 0)]
     assert len(near) > 50
     np.testing.assert_array_equal(met[near], partner[near])
@@ -152,7 +152,7 @@ def test_what_comes_near_is_found_without_a_search_of_all(
             found.append(gap)
         assert not contact.search_radius_exceeded
         acts = found[1] < p.law.interaction_range
-        # At the edge of an end a partner is kept that a point paired anew would not take any more: it is deeper in.
+        # At the edge of an end a point keeps a master facet that a new search would not choose: the gap is smaller.
         assert (found[0][acts] < p.law.interaction_range + 0.01).all()
         same = np.isclose(found[0][acts], found[1][acts], atol=1e-3)
         # A rank may have none of them: which cells are whose depends on the machine.

@@ -1,4 +1,4 @@
-"""Slave facets that are shared out: every facet once, as much contact for every rank, neighbours together."""
+"""Load balance: every slave facet on one rank, as much contact for every rank, neighbours together."""
 
 import numpy as np
 import pytest

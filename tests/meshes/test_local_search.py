@@ -1,4 +1,4 @@
-"""Pairing: the fast search against every point with every facet, on one rank and across ranks."""
+"""Local search: the fast search against that of every point among all facets, on one rank and across ranks."""
 
 from __future__ import annotations
 
@@ -337,12 +337,12 @@ def test_every_rank_sees_the_facets_near_its_own(
 @pytest.mark.mpi
 @pytest.mark.parametrize("name", ["line2", "tri3"])
 def test_pairing_does_not_depend_on_the_ranks(name: str, comm: MPI.Comm, rng: np.random.Generator) -> None:
-    """The partner of each point, by key, is that among all facets."""
+    """The master facet of each point, by key, is that of a search among all facets."""
     kind = facet_kind(name)
     around, along = np.linspace(-1.2, 1.2, 30), np.linspace(0.0, 1.0, 6)
     master = Fiber(name, rng, around, along)
     points, normals = master.points(rng, 200, -0.02, 0.04)
-    facets = np.repeat(points[:, None], len(kind.nodes), axis=1)  # each point a tiny slave facet of its own
+    facets = np.repeat(points[:, None], len(kind.nodes), axis=1)  # each point is a tiny slave facet
     alone = master.closest(points, normals)
     mine = np.flatnonzero(rng.integers(0, comm.size, len(points)) == comm.rank)
     theirs = rng.integers(0, comm.size, len(master.facets)) == comm.rank

@@ -1,4 +1,4 @@
-"""Recipes of many fibers: how they come to rest, their meshes, what they say of themselves, scenes that name them."""
+"""Shapes of many fibers: their deposition, meshes and statistics, and scenes with them."""
 
 from __future__ import annotations
 
