@@ -21,8 +21,9 @@ MARGIN = 0.5  # facet sizes: gap beyond the detection range up to which closest 
 class ContactSearch:
     """Local search of all surface pairs, between two detections.
 
-    Invariant: after `update` nothing that a point may meet, other than its closest point, is within the interaction
-    range of the point and nearer than that, unless it has come so near by less than `DRIFT` of a facet.
+    Invariant: at every evaluation that may search, each point within the interaction range of something that it may
+    meet has a closest point. Points are searched for again only where their distance bounds, less the motions since,
+    leave this open, and only once a node has moved by `DRIFT` of a facet.
 
     mean_facet_size: geometric mean of all facets, um
     interaction_range: largest gap with a traction or a charge, um
