@@ -18,7 +18,9 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import untouched_bodies
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
-from piezomat.meshes.body_mesh import BodyMesh, MeshError, MeshFile, Partition, create
+from piezomat.meshes.body_mesh import BodyMesh, Partition, create
+from piezomat.meshes.gmsh_io.mesh_file import MeshFile
+from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import Progress
 from piezomat.results import restart

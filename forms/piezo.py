@@ -25,6 +25,7 @@ import ufl
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.kinematics import Kinematics, cofactor, displacement_gradient, strain_and_field, strain_components
 
 
@@ -45,7 +46,7 @@ class Load:
 
 def constitutive_field(
     mesh: Any,
-    matrices: Sequence[NDArray[np.float64]],
+    matrices: Sequence[Array],
     cell_matrix: NDArray[np.int32],
     potential_scale: float | None,
 ) -> Any:

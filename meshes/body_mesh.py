@@ -15,6 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.builders.sizes import MeshSizes
 from piezomat.meshes.gmsh_io import extract
 from piezomat.meshes.gmsh_io import model as gmsh_model
@@ -24,7 +25,7 @@ from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import only_on_root
 from piezomat.meshes.shapes.base import Shape
 
-Partition = Callable[[NDArray[np.float64], NDArray[np.int32], int], NDArray[np.int32]]
+Partition = Callable[[Array, NDArray[np.int32], int], NDArray[np.int32]]
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,7 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
     return BodyMesh(mesh, head.bodies, cell_body, cell_part, comm.bcast(part_bodies), facets, head.order)
 
 
-def connected_parts(
-    cells: NDArray[np.int64], cell_body: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], list[list[int]]]:
+def connected_parts(cells: Integers, cell_body: NDArray[np.int32]) -> tuple[NDArray[np.int32], list[list[int]]]:
     """Connected part (n,) of each cell, numbered in the order of first cells, and the bodies of each part."""
     # One graph of cells and nodes, each cell linked to its nodes: its components are cells that share nodes.
     count, nodes = cells.shape

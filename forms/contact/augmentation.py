@@ -14,9 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind, corner_kind
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
@@ -39,7 +38,7 @@ class Multipliers:
         """Copy that shares no array."""
         return Multipliers(self.gap.copy(), self.jump.copy())
 
-    def at(self, kind: FacetKind, facet: NDArray[np.int64], xi: Array) -> tuple[Array, Array]:
+    def at(self, kind: FacetKind, facet: Integers, xi: Array) -> tuple[Array, Array]:
         """Additions (m,) to gap and jump at points xi (m, t) of facets (m,)."""
         shape = corner_kind(kind).shape(xi)
         return np.einsum("mk,mk->m", shape, self.gap[facet]), np.einsum("mk,mk->m", shape, self.jump[facet])

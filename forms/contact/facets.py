@@ -32,7 +32,7 @@ class FacetKind:
 
     name: str
     nodes: Array
-    powers: NDArray[np.int64]
+    powers: Integers
     coefficients: Array
     simplex: bool
 

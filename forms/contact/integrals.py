@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import Projection, variations
 from piezomat.forms.contact.laws.response import Response
@@ -27,8 +26,8 @@ class SlavePoints:
     area (m,): undeformed area of the point, um2 (2D: um); the weight unless weights have no unit
     """
 
-    facet: NDArray[np.int64]
-    place: NDArray[np.int64]
+    facet: Integers
+    place: Integers
     xi: Array
     shape: Array
     weight: Array

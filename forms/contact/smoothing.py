@@ -12,9 +12,8 @@ the surface's shape. In 3D the offset is constant in space, which is valid for s
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.contact.facets import FacetKind, corner_kind, facet_kind
 
 # Corners at the ends of the sides, in the order of the added nodes.
@@ -30,7 +29,7 @@ def curved_kind(kind: FacetKind) -> FacetKind:
     return facet_kind({"line2": "line3", "tri3": "tri6", "quad4": "quad9"}[kind.name])
 
 
-def rounding(kind: FacetKind, corners: Array, normals: Array, alone: NDArray[np.bool_]) -> Array:
+def rounding(kind: FacetKind, corners: Array, normals: Array, alone: Booleans) -> Array:
     """Offsets (f, k, d) of the added nodes of a facet `kind` of order 2: in 2D in the side's length, in 3D in um.
 
     corners, normals (f, n, d): coordinates, um, and unit normals at the corners
@@ -47,7 +46,7 @@ def rounding(kind: FacetKind, corners: Array, normals: Array, alone: NDArray[np.
     return found
 
 
-def _offset(corners: Array, normals: Array, alone: NDArray[np.bool_], i: int, j: int) -> Array:
+def _offset(corners: Array, normals: Array, alone: Booleans, i: int, j: int) -> Array:
     """Vector (f, d) from the middle of the side between corners i and j to the middle of its parabola."""
     side = corners[:, j] - corners[:, i]
     square = (side**2).sum(axis=1)

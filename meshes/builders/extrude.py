@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.sections import Disc, HalfDisc, Rectangle
 from piezomat.meshes.builders.sizes import (
     LINE,
@@ -43,7 +43,7 @@ class Frame:
         c, s = float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
         return cls((-s * across, c * across, up), (-s, c, 0.0), (0.0, 0.0, 1.0), (c, s, 0.0))
 
-    def place(self, section: NDArray[np.float64], along: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    def place(self, section: Array, along: Array | float = 0.0) -> Array:
         """Positions (..., 3) of points (..., 2) of the section, moved along the axis by `along` (...,)."""
         axis = np.asarray(self.axis or (0.0, 0.0, 0.0))
         plane = section[..., :1] * np.asarray(self.s) + section[..., 1:] * np.asarray(self.t)
@@ -100,7 +100,7 @@ def _draw_patches(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSize
     mesh.finish(groups)
 
 
-def _layers(body: Body, sizes: MeshSizes) -> NDArray[np.float64] | None:
+def _layers(body: Body, sizes: MeshSizes) -> Array | None:
     """Positions of nodes along the axis, symmetric about the middle; None in 2D."""
     if body.length is None:
         return None

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.sizes import Curve, Line, Size, arc, straight
 from piezomat.meshes.builders.structured import Side
 
@@ -31,7 +31,7 @@ class Edge:
 class Patch:
     """Points (rows, columns, 2) of a patch and the facet groups of the sides that lie on the outline."""
 
-    points: NDArray[np.float64]
+    points: Array
     sides: dict[Side, str]
 
 
@@ -168,7 +168,7 @@ def _cells(lines: Sequence[Curve], size: Size) -> int:
     return max(Line(line, size).cells for line in lines)
 
 
-def _ruled(first: Curve, last: Curve, along: int, across: int, size: Size, order: int) -> NDArray[np.float64]:
+def _ruled(first: Curve, last: Curve, along: int, across: int, size: Size, order: int) -> Array:
     """Points (along * order + 1, across * order + 1, 2) of the patch of straight lines between two curves."""
     a, b = Line(first, size).divide(along, order), Line(last, size).divide(along, order)
     return np.stack([Line(straight(p, q), size).divide(across, order) for p, q in zip(a, b, strict=True)])

@@ -8,12 +8,13 @@ from typing import Literal
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
+
+from piezomat.forms.arrays import Array
 
 Point = tuple[float, float, float]
 # Positions (n, d) of parameters (n,) in [0, 1]; cell sizes (...,) at positions (..., d).
-Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-Size = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Curve = Callable[[Array], Array]
+Size = Callable[[Array], Array]
 
 # Distances from the place of contact, in radii, up to which cells have the contact size and from which they have the
 # far size. The stress under a point of contact in 3D spreads further than that under a line.
@@ -57,7 +58,7 @@ class Grading:
         """Grading of a body about contact of fibers with this radius."""
         return cls(*sizes.of(body), (zone[0] * radius, zone[1] * radius))
 
-    def at(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, distance: Array) -> Array:
         """Cell size at distances from the nearest place of contact."""
         return np.interp(distance, self.near, (self.fine, self.far))
 
@@ -65,7 +66,7 @@ class Grading:
         """Cell size in a plane as a function of positions (..., 2)."""
         places = np.asarray(points, float)
 
-        def size(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        def size(x: Array) -> Array:
             return self.at(np.linalg.norm(x[..., None, :] - places, axis=-1).min(axis=-1))
 
         return size
@@ -134,14 +135,14 @@ class Line:
         """Number of cells that the size gives."""
         return max(1, int(np.ceil(self.number[-1] - 1e-6)))
 
-    def divide(self, cells: int, order: int) -> NDArray[np.float64]:
+    def divide(self, cells: int, order: int) -> Array:
         """Positions (cells * order + 1, d) of nodes; nodes between corners lie halfway in the parameter."""
         ends = np.interp(np.linspace(0.0, self.number[-1], cells + 1), self.number, self.t)
         ends[0], ends[-1] = 0.0, 1.0
         return self.curve(np.interp(np.arange(cells * order + 1) / order, np.arange(cells + 1), ends))
 
 
-def straight(a: NDArray[np.float64], b: NDArray[np.float64]) -> Curve:
+def straight(a: Array, b: Array) -> Curve:
     """The straight line from a to b."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     return lambda t: (1 - t)[:, None] * a + t[:, None] * b
@@ -151,7 +152,7 @@ def arc(radius: float, first: float, last: float) -> Curve:
     """The arc about (0, 0) from one angle to another (degrees)."""
     angle = np.radians([first, last])
 
-    def curve(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def curve(t: Array) -> Array:
         a = (1 - t) * angle[0] + t * angle[1]
         return radius * np.stack([np.cos(a), np.sin(a)], axis=1)
 

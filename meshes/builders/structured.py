@@ -9,11 +9,11 @@ from typing import Literal
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.model import CELLS
 
@@ -30,12 +30,12 @@ class Lattice:
     is one cell, or is split along one diagonal into 2 triangles or 6 tetrahedra, which match between boxes.
     """
 
-    def __init__(self, points: NDArray[np.float64], order: int, tensor: bool) -> None:
+    def __init__(self, points: Array, order: int, tensor: bool) -> None:
         self.points, self.order, self.tensor = points, order, tensor
         self.shape = points.shape[:-1]
 
     @classmethod
-    def box(cls, axes: Sequence[NDArray[np.float64]], order: int, tensor: bool) -> Lattice:
+    def box(cls, axes: Sequence[Array], order: int, tensor: bool) -> Lattice:
         """Lattice of a box with these cell ends along its axes."""
         fine = [np.interp(np.arange(order * (len(a) - 1) + 1) / order, np.arange(len(a)), a) for a in axes]
         return cls(np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1), order, tensor)
@@ -45,11 +45,11 @@ class Lattice:
         """Dimension of the cells."""
         return len(self.shape)
 
-    def cells(self) -> NDArray[np.int64]:
+    def cells(self) -> Integers:
         """Points of each cell (n, nodes), numbered through the lattice, in gmsh's order."""
         return np.ravel_multi_index(tuple(np.moveaxis(self._index(self.shape), -1, 0)), self.shape)
 
-    def facets(self, side: Side) -> NDArray[np.int64]:
+    def facets(self, side: Side) -> Integers:
         """Points of each facet (n, nodes) on a side (axis, first or last), in gmsh's order."""
         axis, end = side
         on_side = self._index(tuple(np.delete(self.shape, axis)))
@@ -75,7 +75,7 @@ class Lattice:
             ends = [low, high]
         self.points = np.mean([corners[tuple(np.moveaxis(end, -1, 0))] for end in ends], axis=0)
 
-    def _index(self, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    def _index(self, shape: tuple[int, ...]) -> Integers:
         """Lattice index (n, nodes, dim) of the nodes of the cells of a lattice of this shape."""
         dim, order = len(shape), self.order
         counts = [(n - 1) // order for n in shape]
@@ -84,7 +84,7 @@ class Lattice:
         return np.concatenate([order * boxes + offset for offset in nodes])
 
 
-def _nodes(dim: int, order: int, tensor: bool) -> list[NDArray[np.float64]]:
+def _nodes(dim: int, order: int, tensor: bool) -> list[Array]:
     """Nodes (nodes, dim) in the unit box of the cells that fill it, in gmsh's order."""
     kind = GMSH_TYPE[(BOXES if tensor else SIMPLICES)[dim], order]
     local = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (-1, dim))
@@ -145,7 +145,7 @@ class PatchMesh:
                     self.groups.setdefault(group, []).append(entity)
 
     @staticmethod
-    def _elements(dim: int, entity: int, nodes: NDArray[np.int64], lattice: Lattice) -> None:
+    def _elements(dim: int, entity: int, nodes: Integers, lattice: Lattice) -> None:
         kind = GMSH_TYPE[(BOXES if lattice.tensor else SIMPLICES)[dim], lattice.order]
         gmsh.model.mesh.addElementsByType(entity, kind, [], nodes.ravel())
 
@@ -155,7 +155,7 @@ class PatchMesh:
         gmsh_model.add_groups(self.dim - 1, {name: self.groups[name] for name in groups})
 
 
-def merged(x: NDArray[np.float64]) -> NDArray[np.int64]:
+def merged(x: Array) -> Integers:
     """Numbers (n,) of points (n, d), equal for points in the same place."""
     pairs = cKDTree(x).query_pairs(1e-9 * float(np.ptp(x, axis=0).max()), output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))

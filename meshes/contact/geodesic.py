@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import dijkstra
 
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.meshes.contact.surface import global_numbers, node_coordinates
 from piezomat.meshes.ghost_scatter import GhostScatter
 
@@ -48,9 +48,7 @@ def _ways(x: Array, cells: NDArray[np.int32]) -> scipy.sparse.csr_matrix:
     return one_way + one_way.T
 
 
-def _distances(
-    comm: MPI.Comm, ways: scipy.sparse.csr_matrix, root: NDArray[np.bool_], least: Callable[[Array], Array]
-) -> Array:
+def _distances(comm: MPI.Comm, ways: scipy.sparse.csr_matrix, root: Booleans, least: Callable[[Array], Array]) -> Array:
     """Length (n,) of the shortest path to a root. Collective.
 
     Each rank continues from the distances that others have found, until no rank finds a shorter path.
@@ -69,7 +67,7 @@ def _distances(
     return distance
 
 
-def _is_first(comm: MPI.Comm, keys: Array, part: Integers, parts: int) -> NDArray[np.bool_]:
+def _is_first(comm: MPI.Comm, keys: Array, part: Integers, parts: int) -> Booleans:
     """Whether the keys (n, k) of a node are lexicographically the least of its part on any rank. Collective."""
     least = np.full((parts, keys.shape[1]), np.inf)
     order = np.lexsort((*keys.T[::-1], part))

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 
 SEARCH_CLUSTER = 64  # largest number of facets or points in a box
 
@@ -40,13 +40,13 @@ class PairingRule:
         """Body of each component."""
         return component // self.parts
 
-    def allows(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
+    def allows(self, slave: Integers, master: Integers) -> Booleans:
         """Whether points of slave components may meet facets of master components."""
         may = np.full(np.broadcast(slave, master).shape, self.self_contact)
         may |= (self.body(slave) != self.body(master)) & ~self.same_part(slave, master)
         return may & (slave <= master) if self.ordered else may
 
-    def same_part(self, slave: Integers, master: Integers) -> NDArray[np.bool_]:
+    def same_part(self, slave: Integers, master: Integers) -> Booleans:
         """Whether components belong to the same connected part."""
         return slave % self.parts == master % self.parts
 
@@ -174,7 +174,7 @@ class CandidatePairs:
     """
 
     component: Integers
-    same_part: NDArray[np.bool_]
+    same_part: Booleans
     facets: list[Integers]
     points: list[Integers]
 

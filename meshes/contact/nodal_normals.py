@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.smoothing import curved_kind, rounded, rounding
@@ -47,7 +46,7 @@ def corner_normals(kind: FacetKind, nodes: Array, orientation: Array) -> Array:
     return found
 
 
-def nodal_normals(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Array) -> tuple[Array, NDArray[np.bool_]]:
+def nodal_normals(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Array) -> tuple[Array, Booleans]:
     """Unit normals (f, n, d) at the corners of facets, and whether only one facet contributes (f, n). Collective.
 
     A normal is the mean over the facets of all ranks that meet at the node without a sharp edge, in the same order on

@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.contact.local_search import FACING
@@ -56,7 +55,7 @@ class SelfContact:
     slave: ReferenceFacets
     master: ReferenceFacets
 
-    def may_meet(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
+    def may_meet(self, i: Integers, j: Integers) -> Booleans:
         """Whether points of slave facets i may meet master facets j, (k,) each."""
         far = np.abs(self.slave.geodesic[i] - self.master.geodesic[j]) > 1.0
         near = np.flatnonzero(~far)
@@ -70,7 +69,7 @@ class SelfContact:
         far[near[across[~adjacent]]] = True
         return far
 
-    def precedes(self, i: Integers, j: Integers) -> NDArray[np.bool_]:
+    def precedes(self, i: Integers, j: Integers) -> Booleans:
         """Whether slave facets i are nearer to the end of their part than master facets j, (k,) each."""
         ours, theirs = self.slave.geodesic[i], self.master.geodesic[j]
         return (ours < theirs) | ((ours == theirs) & (self.slave.key[i] < self.master.key[j]))

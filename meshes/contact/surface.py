@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind, facet_kind_of
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.mesh_entities import exterior_facets
@@ -32,7 +32,7 @@ class Surface:
     nodes: NDArray[np.int32]
     reference: Array
     orientation: Array
-    key: NDArray[np.int64]
+    key: Integers
     cells: NDArray[np.int32]
     rounding: Array
 
@@ -72,7 +72,7 @@ def surface(space: Any, name: str, facets: NDArray[np.int32], order: int) -> Sur
     return Surface(name, kind, nodes, reference, orientation, key, cells, reference[:, :0])
 
 
-def global_numbers(space: Any, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
+def global_numbers(space: Any, nodes: NDArray[np.int32]) -> Integers:
     """Global numbers of local nodes of a space, in the same shape."""
     numbers = space.dofmap.index_map.local_to_global(nodes.ravel())
     return np.asarray(numbers, np.int64).reshape(nodes.shape)

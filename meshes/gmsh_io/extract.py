@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.model import CELLS, Elements, Group, MeshError
 
@@ -34,11 +35,11 @@ class Arrays:
 
     cell_type: str
     order: int
-    x: NDArray[np.float64]
-    cells: NDArray[np.int64]
+    x: Array
+    cells: Integers
     cell_body: NDArray[np.int32]
     bodies: tuple[str, ...]
-    facets: NDArray[np.int64]
+    facets: Integers
     facet_values: NDArray[np.int32]
     facet_groups: tuple[str, ...]
     combinations: tuple[tuple[int, ...], ...]
@@ -116,7 +117,7 @@ def _cells(dim: int, bodies: list[Group]) -> list[tuple[int, Elements]]:
     return cells
 
 
-def _check_once(cells: NDArray[np.int64], cell_body: NDArray[np.int32], bodies: list[Group]) -> None:
+def _check_once(cells: Integers, cell_body: NDArray[np.int32], bodies: list[Group]) -> None:
     """Raise MeshError where two cells have the same nodes."""
     # Sums of random numbers of the nodes are equal for equal sets and practically never for others.
     key = np.random.default_rng(0).integers(2**62, size=int(cells.max()) + 1)[cells].sum(axis=1)
@@ -129,7 +130,7 @@ def _check_once(cells: NDArray[np.int64], cell_body: NDArray[np.int32], bodies: 
         raise MeshError(f"bodies {first!r} and {second!r} have cells in common")
 
 
-def _check_cells(dim: int, cells: list[tuple[Elements, NDArray[np.int64]]], x: NDArray[np.float64]) -> None:
+def _check_cells(dim: int, cells: list[tuple[Elements, Integers]], x: Array) -> None:
     """Raise MeshError where nodes are not finite or not in a plane, or cells are inverted or degenerate."""
     if not np.isfinite(x).all():
         raise MeshError("a node has coordinates that are not finite")
@@ -149,7 +150,7 @@ def _check_cells(dim: int, cells: list[tuple[Elements, NDArray[np.int64]]], x: N
             raise MeshError(f"inverted or degenerate cells: {int(bad.sum())}, the first at ({place})")
 
 
-def _turns(x: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
+def _turns(x: Array, kind: int) -> Array:
     """Signed area (n,) of plane cells (n, nodes, 3), positive for the orientation of most of them."""
     corners = x[:, : CORNERS[CELLS[kind][0]], :2]
     following = np.roll(corners, -1, axis=1)
@@ -159,8 +160,8 @@ def _turns(x: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
 
 
 def _facets(
-    dim: int, cell: tuple[str, int], found: list[Group], used: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], tuple[tuple[int, ...], ...]]:
+    dim: int, cell: tuple[str, int], found: list[Group], used: Integers
+) -> tuple[Integers, NDArray[np.int32], tuple[tuple[int, ...], ...]]:
     """Facets (m, nodes) of groups, the number (m,) of the combination of groups of each, and the combinations."""
     name, order = cell
     width = {"interval": order + 1, "triangle": 3 * order, "quadrilateral": (order + 1) ** 2}[name]

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
+
+from piezomat.forms.arrays import Array, Integers
 
 # Meshes are the same from run to run: one thread, and no settings from the user's files.
 _OPTIONS = {
@@ -60,8 +61,8 @@ class Elements:
     """Elements of one type in one entity: gmsh type, element tags (n,), node tags (n, nodes)."""
 
     type: int
-    tags: NDArray[np.int64]
-    nodes: NDArray[np.int64]
+    tags: Integers
+    nodes: Integers
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ def elements(dim: int, entity: int) -> list[Elements]:
     return found
 
 
-def nodes() -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def nodes() -> tuple[Integers, Array]:
     """Tags (n,) and coordinates (n, 3) of all nodes."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     return tags.astype(np.int64), x.reshape(-1, 3)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import gmsh
 import numpy as np
-from numpy.typing import NDArray
 
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.gmsh_io.model import MeshError
 
 VERSIONS = ("2.2", "4.1")
@@ -28,15 +28,15 @@ class Block:
     dim: int
     entity: int
     type: int
-    nodes: NDArray[np.int64]
+    nodes: Integers
 
 
 @dataclass
 class Contents:
     """Contents of a file: nodes, elements, physical groups of entities (dim, tag) and names of groups."""
 
-    tags: NDArray[np.int64]
-    x: NDArray[np.float64]
+    tags: Integers
+    x: Array
     blocks: list[Block]
     groups: dict[tuple[int, int], list[int]] = field(default_factory=dict)
     names: dict[tuple[int, int], str] = field(default_factory=dict)
@@ -102,7 +102,7 @@ class _Numbers:
                 except (ValueError, DeprecationWarning):
                     raise MeshError(f"section ${name} holds something that is not a number") from None
 
-    def table(self, rows: int, kinds: str) -> NDArray[np.float64]:
+    def table(self, rows: int, kinds: str) -> Array:
         """The next rows (rows, columns), with a letter a column: i an int, z an unsigned long, d a double."""
         width = len(kinds)
         step = sum(int(BINARY[kind][-1]) for kind in kinds) if self.binary else width
@@ -119,11 +119,11 @@ class _Numbers:
         found = np.frombuffer(self.data, fields, rows, start)
         return np.stack([found[name].astype(float) for name in fields.names], axis=1).reshape(rows, width)
 
-    def integers(self, rows: int, kinds: str) -> NDArray[np.int64]:
+    def integers(self, rows: int, kinds: str) -> Integers:
         """The next rows (rows, columns) of whole numbers."""
         return self.whole(self.table(rows, kinds))
 
-    def whole(self, found: NDArray[np.float64]) -> NDArray[np.int64]:
+    def whole(self, found: Array) -> Integers:
         """These numbers as integers."""
         if not (np.abs(found) < 2.0**53).all() or (found != np.rint(found)).any():
             raise MeshError(f"section ${self.name} is damaged: a number in it is not whole or too large")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.sizes import MeshSizes, cells_in
 from piezomat.meshes.builders.structured import BodyPatch, Lattice, PatchMesh, Side
 from piezomat.meshes.shapes.base import Shape
@@ -87,7 +87,7 @@ class StackedBlocks(Shape):
         mesh.finish(self.facet_groups())
 
 
-def _tilted(points: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+def _tilted(points: Array, angle: float) -> Array:
     """Points turned about the origin by an angle (degrees), x towards up."""
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     x, up = points[..., 0], points[..., -1]

@@ -6,11 +6,10 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.builders.extrude import Body, Frame, draw
 from piezomat.meshes.builders.sections import Disc
@@ -100,7 +99,7 @@ class FiberArray(FiberShape):
         return np.stack([(x - r).min(axis=0), (x + r).max(axis=0)])
 
     @cached_property
-    def _touching(self) -> tuple[NDArray[np.int64], Array]:
+    def _touching(self) -> tuple[Integers, Array]:
         """Pairs (k, 2) of neighbours within a tenth of a radius, and their gaps (k,)."""
         x, r = self.discs[:, :2], self.discs[:, 2]
         reach = CONTACT_ZONE * float(r.min())
