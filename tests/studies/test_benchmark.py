@@ -9,7 +9,7 @@ import pytest
 from piezomat.cli import main as piezomat
 from piezomat.meshes.gmsh_io.model import MeshError
 from scripts.studies.benchmark import LAW, SIZES, SURFACES, cases_of, parser
-from scripts.studies.two_fibers import scene_of_shape
+from scripts.studies.two_fibers import measured, run_command, scene_of_shape
 
 
 def test_two_cases_are_the_default() -> None:
@@ -44,3 +44,13 @@ def test_a_mesh_file_is_the_same_problem_as_its_shape(mesh: Path) -> None:
 def test_a_group_that_the_mesh_lacks_is_named(mesh: Path) -> None:
     with pytest.raises(MeshError, match=r"has no group contact_lower; it has .*lower_contact"):
         cases_of(parser().parse_args(["--mesh", str(mesh), "--surfaces", "contact_lower", "upper_contact"]))
+
+
+def test_a_mesh_file_has_the_force_of_its_shape(mesh: Path, tmp_path: Path) -> None:
+    ((scene, _),) = cases_of(parser().parse_args(["--mesh", str(mesh)])).values()
+    costs = []
+    for case in (scene, scene_of_shape("facing_halves", 0.1, 0.2, LAW)):
+        (tmp_path / "case.toml").write_text(case.to_toml(), encoding="utf-8")
+        costs.append(measured(run_command(tmp_path / "case.toml")).answer)
+    assert costs[0]["force"] == pytest.approx(costs[1]["force"], rel=1e-6)
+    assert costs[0]["pressure"] == pytest.approx(costs[1]["pressure"], rel=1e-6)
