@@ -9,9 +9,8 @@ import dolfinx.fem.petsc
 from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
-from piezomat.forms.energy import stored_energies
+from piezomat.forms.enthalpy import internal_form, stored_energies, tangent_form
 from piezomat.forms.evaluation import integral
-from piezomat.forms.piezo import internal_form, tangent_form
 
 
 class Bulk:

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 from piezomat.assembly.bulk import assemble_vector
 from piezomat.discretization.model import Model
-from piezomat.forms.piezo import load_tangent
+from piezomat.forms.loads import load_tangent
 
 
 class NodalLoads:

@@ -16,7 +16,7 @@ from piezomat.assembly.bulk import assemble_vector
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.energy import stabilization_form
+from piezomat.forms.stabilization import stabilization_form
 
 RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the part's stiffness over its size squared
 

@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from piezomat.discretization.constraints import Condition, load_factor
 from piezomat.forms.arrays import Array, Booleans
-from piezomat.forms.piezo import Kinematics, Load, boundary_loads
+from piezomat.forms.kinematics import Kinematics
+from piezomat.forms.loads import Load, boundary_loads
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.mesh_entities import exterior_facets
 from piezomat.scene.errors import SceneError

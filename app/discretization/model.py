@@ -14,8 +14,8 @@ from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Booleans
+from piezomat.forms.enthalpy import constitutive_field
 from piezomat.forms.materials import Material
-from piezomat.forms.piezo import constitutive_field
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.scene.scene import Scene
 

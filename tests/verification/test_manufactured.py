@@ -17,8 +17,8 @@ from mpi4py import MPI
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
+from piezomat.forms.enthalpy import constitutive_field, internal_form, tangent_form
 from piezomat.forms.material_library import BUILT_IN
-from piezomat.forms.piezo import constitutive_field, internal_form, tangent_form
 from tests.bulk import DIMENSION, boundary, integral, newton_step, nodes, unit_mesh
 
 pytestmark = pytest.mark.mpi

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
+from piezomat.forms.enthalpy import constitutive_field, internal_form, tangent_form
+from piezomat.forms.loads import Load, boundary_loads
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material
-from piezomat.forms.piezo import Load, boundary_loads, constitutive_field, internal_form, tangent_form
 from tests.bulk import (
     DIMENSION,
     assemble_vector,

@@ -1,4 +1,4 @@
-"""Forms of the bodies: one enthalpy density of coupled piezoelectricity, its residual and tangent, and the loads.
+"""Enthalpy of the bodies: one density of coupled piezoelectricity, its residual, tangent and stored energies.
 
 The unknown w has the components u_1 .. u_dim and, with a potential, psi = phi / potential_scale. With
 s = (strain in Voigt order, electric field) and the matrix M of `piezomat.forms.materials`,
@@ -16,7 +16,6 @@ sum of the internal residual's psi entries there, divided by potential_scale.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import dolfinx
@@ -26,22 +25,7 @@ from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.kinematics import Kinematics, cofactor, displacement_gradient, strain_and_field, strain_components
-
-
-@dataclass(frozen=True)
-class Load:
-    """Loads on the facets of one tag, as DOLFINx Constants, so that a load step recompiles nothing.
-
-    traction (dim,), MPa: dead force per reference area
-    pressure, MPa: against the outer normal; dead in small kinematics, follows the surface in finite
-    charge_density, pC/um2: free charge per reference area
-    """
-
-    tag: int
-    traction: Any = None
-    pressure: Any = None
-    charge_density: Any = None
+from piezomat.forms.kinematics import Kinematics, strain_and_field, strain_components
 
 
 def constitutive_field(
@@ -118,39 +102,19 @@ def tangent_form(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
     return ufl.derivative(internal_form(w, constitutive, kinematics), w)
 
 
-def boundary_loads(
-    v: Any, w: Any, ds: Any, loads: Sequence[Load], kinematics: Kinematics, potential_scale: float | None
-) -> Any:
-    """Form that all loads together ADD to the residual, empty without loads.
+def stored_energies(w: Any, constitutive: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:
+    """UFL functionals of the elastic energy 1/2 S.C.S and the electric energy 1/2 E.eps.E (None without potential).
 
-    A traction adds -t.v, a pressure +p n.v (finite: +p (cof F N).v per reference area), a charge +q potential_scale
-    v_psi. In plane stress a load acts per reference thickness. Raises ValueError for a charge without a potential.
-
-    v: test function of w's space
-    ds: measure of exterior facets, with the loads' tags in its subdomain_data
+    Their sum is the internal energy, pJ (2D: per um of depth): the piezoelectric terms of T.S and D.E cancel.
     """
-    domain = fenicsx.domain(w)
+    s = strain_and_field(w, kinematics)
+    matrix = symmetric_matrix(constitutive, len(s))
     dim = fenicsx.dimension(w)
-    degree = 2 * fenicsx.degree(w)
-    normal = ufl.FacetNormal(domain)
-    if kinematics == "finite":
-        normal = cofactor(ufl.Identity(dim) + displacement_gradient(w)) * normal
-    form = ufl.Form([])
-    for load in loads:
-        work = []
-        if load.traction is not None:
-            work += [-load.traction[i] * v[i] for i in range(dim)]
-        if load.pressure is not None:
-            work += [load.pressure * normal[i] * v[i] for i in range(dim)]
-        if load.charge_density is not None:
-            if w.ufl_shape != (dim + 1,) or potential_scale is None:
-                raise ValueError("a charge density needs a potential: no material of the model has a permittivity")
-            work.append(load.charge_density * potential_scale * v[dim])
-        if work:
-            form += sum(work) * ds(load.tag, degree=degree)
-    return form
+    strains = strain_components(dim)
 
+    def half_square(indices: range) -> Any:
+        return 0.5 * sum(matrix[i, j] * s[i] * s[j] for i in indices for j in indices) * volume_measure(w)
 
-def load_tangent(form: Any, w: Any) -> Any | None:
-    """Derivative of `boundary_loads` at w, not symmetric; None if the loads do not depend on w."""
-    return ufl.derivative(form, w) if w in form.coefficients() else None
+    if len(s) == strains:
+        return half_square(range(strains)), None
+    return half_square(range(strains)), -half_square(range(strains, len(s)))

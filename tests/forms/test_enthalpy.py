@@ -12,18 +12,10 @@ from mpi4py import MPI
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
+from piezomat.forms.enthalpy import constitutive_field, enthalpy, internal_form, tangent_form, volume_measure
 from piezomat.forms.kinematics import strain_and_field
+from piezomat.forms.loads import Load, boundary_loads, load_tangent
 from piezomat.forms.material_library import BUILT_IN
-from piezomat.forms.piezo import (
-    Load,
-    boundary_loads,
-    constitutive_field,
-    enthalpy,
-    internal_form,
-    load_tangent,
-    tangent_form,
-    volume_measure,
-)
 from tests.bulk import (
     DIMENSION,
     assemble_matrix,
