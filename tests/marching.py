@@ -32,10 +32,10 @@ class Watched:
         self.before = before
         self.after = after
 
-    def solve(self, margin: float, report: NewtonReport) -> None:
+    def solve(self, search_radius: float, report: NewtonReport) -> None:
         """See `Newton.solve`."""
         self.before(self.newton.problem)
-        self.newton.solve(margin, report)
+        self.newton.solve(search_radius, report)
         self.after(self.newton.problem)
 
 

@@ -26,7 +26,7 @@ FLIPS = "a point flips between two facets: it is in equilibrium on neither (cont
 class EndChecks:
     """The conditions on the end of a solve. Every method is collective.
 
-    margin (um): how far the contact search looked at last.
+    search_radius (um): of the last contact search.
     """
 
     def __init__(
@@ -42,13 +42,13 @@ class EndChecks:
         self.snes = snes
         self.convergence = convergence
         self.max_iterations = max_iterations
-        self.margin = 0.0
+        self.search_radius = 0.0
         self._projection_repairs = self._segment_repairs = 0
         self._residual = problem.state.duplicate()
 
-    def start(self, margin: float) -> None:
+    def start(self, search_radius: float) -> None:
         """Begin a solve whose contact search has looked this far (um)."""
-        self.margin = margin
+        self.search_radius = search_radius
         self._projection_repairs, self._segment_repairs = MAX_PROJECTION_REPAIRS, MAX_SEGMENT_REPAIRS
 
     def repair(self, report: NewtonReport) -> bool:
@@ -83,13 +83,13 @@ class EndChecks:
         ended = self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         if contact is None or not (ended and contact.search_radius_exceeded):
             return False
-        self._search_again(2.0 * self.margin)
+        self._search_again(2.0 * self.search_radius)
         return True
 
     def _repair_penetration(self) -> bool:
         contact = self.problem.contact
         penetration = contact.penetration() if contact is not None else 0.0
-        if penetration <= 0.5 * self.margin:
+        if penetration <= 0.5 * self.search_radius:
             return False
         self._search_again(4.0 * penetration)
         return True
@@ -112,11 +112,11 @@ class EndChecks:
         if contact is None or not self._segment_repairs or not contact.has_stale_segments():
             return False
         self._segment_repairs -= 1
-        self._search_again(self.margin)
+        self._search_again(self.search_radius)
         return True
 
-    def _search_again(self, margin: float) -> None:
-        problem, self.margin = self.problem, margin
+    def _search_again(self, search_radius: float) -> None:
+        problem, self.search_radius = self.problem, search_radius
         if problem.motion() > FLOWN * problem.model.parts.size.max():
             raise SolveError("a body flies away: it moves by more than its size in one step")
-        problem.pair(margin)
+        problem.pair(search_radius)

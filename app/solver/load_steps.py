@@ -144,13 +144,13 @@ class Stepper:
         problem = self.problem
         problem.set_loads(after)
         prescribed = problem.model.prescription.motion(after, before)
-        margin = self.margin(prescribed)
-        problem.begin_step(margin)
+        search_radius = self.search_radius(prescribed)
+        problem.begin_step(search_radius)
         if viscosity is not None:
             problem.residual(problem.state, problem.state.duplicate())
             problem.contact.start_viscous_regularization(viscosity)
         try:
-            self._solve(margin, prescribed, report)
+            self._solve(search_radius, prescribed, report)
         except SolveError:
             problem.converged_state.copy(problem.state)
             if problem.contact is not None:
@@ -174,15 +174,15 @@ class Stepper:
 
         snap_through(self.problem.contact, part)
 
-    def _solve(self, margin: float, prescribed: float, report: StepReport) -> None:
+    def _solve(self, search_radius: float, prescribed: float, report: StepReport) -> None:
         """Bring the problem to equilibrium, again after each step of augmentation until gap and jump are small."""
         problem, tolerance = self.problem, self.augment_tolerance
         for number in range(AUGMENTATIONS + 1):
             solve = NewtonReport()
             if self.stabilization is not None:
-                self.stabilization.solve(margin, prescribed, solve)
+                self.stabilization.solve(search_radius, prescribed, solve)
             else:
-                self.newton.solve(margin, solve)
+                self.newton.solve(search_radius, solve)
             report.newton += solve.iterations
             report.krylov += solve.krylov
             report.solves.append(solve)
@@ -237,7 +237,7 @@ class Stepper:
         problem.begin_step(problem.contact.least_search_radius() if problem.contact is not None else 0.0)
         problem.residual(problem.state, problem.state.duplicate())
 
-    def margin(self, prescribed: float) -> float:
+    def search_radius(self, prescribed: float) -> float:
         """How far the contact search must look in the coming solve, um: what moves, and what is already there."""
         contact = self.problem.contact
         return 0.0 if contact is None else contact.least_search_radius() + 4.0 * max(prescribed, self.last_motion)

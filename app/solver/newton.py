@@ -82,27 +82,26 @@ class Newton:
         self.linear.close()
         self.snes.destroy()
 
-    def solve(self, margin: float, report: NewtonReport) -> None:
+    def solve(self, search_radius: float, report: NewtonReport) -> None:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
 
-        margin (um): how far the contact search looked when the step's surfaces were paired. The effort is added to the
-        report.
+        search_radius (um): of the contact search at the start of the step. The effort is added to the report.
         """
         self._report = report
         condensation = self.linear.condensation
         before = condensation.factor_solves if condensation is not None else 0
         try:
-            self._solve(margin)
+            self._solve(search_radius)
         finally:
             if condensation is not None:
                 report.factor_solves += condensation.factor_solves - before
                 report.candidates = len(condensation.candidates)
 
-    def _solve(self, margin: float) -> None:
+    def _solve(self, search_radius: float) -> None:
         problem, report = self.problem, self._report
         for part in (self.convergence, self.line_search, self.prediction):
             part.start()
-        self.checks.start(margin)
+        self.checks.start(search_radius)
         if problem.contact is not None:
             # Unconstrained bodies are thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)

@@ -33,7 +33,7 @@ UNHELD = "nothing holds a body against the load on it: no boundary, and no conta
 class Stabilization:
     """Solves a problem with unconstrained bodies by changing the stiffness of their springs. Methods are collective.
 
-    newton(margin, report): Newton's method from the present state, with the springs as they are; see `Newton.solve`.
+    newton(search_radius, report): Newton's method with the springs as they are; see `Newton.solve`.
     """
 
     def __init__(self, problem: Problem, newton: Callable[[float, NewtonReport], None]) -> None:
@@ -42,14 +42,14 @@ class Stabilization:
         if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not problem.loads.exist:
             problem.set_stabilization(STIFFER)
 
-    def solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
+    def solve(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
 
-        margin, report: see `Newton.solve`. prescribed (um): how far boundaries and planes move in the step.
+        search_radius, report: see `Newton.solve`. prescribed (um): how far boundaries and planes move in the step.
         """
         problem = self.problem
         try:
-            self._solve(margin, prescribed, report)
+            self._solve(search_radius, prescribed, report)
             if problem.stabilization.load_share(problem.state, problem.loads.vector) <= LARGEST_LOAD_SHARE:
                 return
         except SolveError as error:
@@ -57,17 +57,17 @@ class Stabilization:
                 raise
             log.info("loose bodies: %s", error)
         problem.converged_state.copy(problem.state)
-        problem.pair(margin)
+        problem.pair(search_radius)
         if problem.loads.exist:
-            self._reduce(margin, prescribed, report)
+            self._reduce(search_radius, prescribed, report)
         else:
             problem.set_stabilization(STIFFER if problem.stabilization.factor == 1.0 else 1.0)
-            self._solve(margin, prescribed, report)
+            self._solve(search_radius, prescribed, report)
 
-    def _solve(self, margin: float, prescribed: float, report: NewtonReport) -> None:
+    def _solve(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Solve with the springs as they are; SolveError where a body has flown or stiffer springs take energy."""
         problem = self.problem
-        self.newton(margin, report)
+        self.newton(search_radius, report)
         if self._has_flown(prescribed):
             raise SolveError(f"a body has flown: {FLOWN:g} of the thinnest one's thickness in one step")
         if problem.stabilization.factor == STIFFER:
@@ -75,7 +75,7 @@ class Stabilization:
             if problem.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
-    def _reduce(self, margin: float, prescribed: float, report: NewtonReport) -> None:
+    def _reduce(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Solve with stiff springs and then ever weaker ones, so that no body leaps through another."""
         problem = self.problem
         here, last, reduction = problem.state.copy(), INITIAL_FACTOR * LARGEST_REDUCTION, LARGEST_REDUCTION
@@ -84,7 +84,7 @@ class Stabilization:
                 factor = max(last / reduction, 1.0)
                 problem.set_stabilization(factor)
                 try:
-                    self.newton(margin, report)
+                    self.newton(search_radius, report)
                     if self._has_flown(prescribed, here):
                         raise SolveError(UNHELD)
                 except SolveError:
@@ -92,7 +92,7 @@ class Stabilization:
                     if reduction < SMALLEST_REDUCTION or last > INITIAL_FACTOR:
                         raise
                     here.copy(problem.state)
-                    problem.pair(margin)
+                    problem.pair(search_radius)
                 else:
                     problem.state.copy(here)
                     last, reduction = factor, min(reduction**2, LARGEST_REDUCTION)
