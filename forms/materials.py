@@ -90,12 +90,17 @@ class Material:
 
     @property
     def mean_stiffness(self) -> float:
-        """Mean of the stiffnesses along the axes, MPa."""
-        return float(np.diag(self.stiffness)[:3].mean())
+        """Mean over all directions of the stiffness at uniaxial strain, MPa; no rotation changes it.
+
+        (C_iijj + 2 C_ijij) / 15, which of an isotropic material is C_11; of `pzt4` it is 0.3 % below the mean of
+        C_11, C_22 and C_33.
+        """
+        normal, shear = self.stiffness[:3, :3], np.diag(self.stiffness)[3:]
+        return float((normal.sum() + 2.0 * (np.trace(normal) + 2.0 * shear.sum())) / 15.0)
 
     @property
     def mean_permittivity(self) -> float:
-        """Mean of the permittivities along the axes, pC/(V um); 0 for a material without potential."""
+        """Mean of the permittivities along the axes, pC/(V um), the same for all axes; 0 without potential."""
         return 0.0 if self.permittivity is None else float(np.diag(self.permittivity).mean())
 
     def check(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement, product
 
@@ -18,6 +19,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
+from piezomat.forms.materials import Material
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
@@ -85,10 +87,10 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
     rule = PairingRule(len(bodies.part_bodies), ordered=keys.passes == 1, self_contact=keys.self_contact)
     outside = exterior_facets(model.mesh)
     whole = surface(model.unknowns.space, "outside", outside, bodies.order)
-    kinds = [(m.mean_stiffness, m.mean_permittivity) for m in model.materials]
+    kinds = kinds_of(model.materials)
     surfaces, components = {}, {}
     for kind in dict.fromkeys(kinds):
-        of_kind = np.array([k == kind for k in kinds])[bodies.cell_body[whole.cells]]
+        of_kind = (np.array(kinds) == kind)[bodies.cell_body[whole.cells]]
         surfaces[kind] = _facets(model, "bodies", outside[of_kind])
         cells = surfaces[kind].cells
         components[kind] = rule.component(bodies.cell_body[cells], bodies.cell_part[cells])
@@ -105,6 +107,15 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
     if not passes and not model.scene.planes:
         raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
     return passes, _pairs_of_bodies(model, planes)
+
+
+def kinds_of(materials: Sequence[Material]) -> list[int]:
+    """Number of the kind of each material: those with equal mean stiffness and permittivity are of one kind.
+
+    A rotation changes both by rounding alone.
+    """
+    means = np.array([(m.mean_stiffness, m.mean_permittivity) for m in materials])
+    return [int(np.isclose(means, mean, rtol=1e-9, atol=0.0).all(axis=1).argmax()) for mean in means]
 
 
 def _pairs_of_bodies(model: Model, planes: tuple[str, ...]) -> Pairs:

@@ -299,3 +299,22 @@ def test_check_says_in_words_what_is_wrong(change: dict[str, Array | None], word
 def test_a_material_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="read-only"):
         PVDF.stiffness[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_means_do_not_depend_on_the_axes(name: str) -> None:
+    material = BUILT_IN[name]
+    for poling in POLINGS:
+        rotated = material.rotated(poling)
+        assert rotated.mean_stiffness == pytest.approx(material.mean_stiffness, rel=1e-12)
+        assert rotated.mean_permittivity == pytest.approx(material.mean_permittivity, rel=1e-12)
+
+
+def test_the_mean_stiffness_is_that_of_uniaxial_strain_in_any_direction(rng: np.random.Generator) -> None:
+    """Against the definition: the mean of C'_33 over directions, of a material without symmetry."""
+    factor = rng.normal(size=(6, 6))
+    material = Material(factor @ factor.T + np.eye(6), np.zeros((3, 6)), None)
+    found = [material.rotated(*axes).stiffness[2, 2] for axes in rng.normal(size=(5000, 2, 3))]
+    error = np.std(found) / np.sqrt(len(found))
+    assert abs(np.mean(found) - material.mean_stiffness) < 4.0 * error
+    assert Material.isotropic(2500.0, 0.3).mean_stiffness == pytest.approx(2500.0 * 0.7 / (1.3 * 0.4), rel=1e-14)

@@ -1,0 +1,97 @@
+"""From the scene to surface pairs: default penalties and kinds of bodies do not depend on how axes are turned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from piezomat.contact.setup import interfaces_of
+from piezomat.discretization.model import Model
+from piezomat.forms.arrays import Array
+from piezomat.meshes.body_mesh import create
+from piezomat.scene import Scene
+from piezomat.simulation import Run, run
+
+TILT = 37.0  # degrees
+DEFINITE = np.arange(36.0).reshape(6, 6) % 7.0 - 3.0
+TRICLINIC = {
+    "stiffness": (400.0 * (DEFINITE + DEFINITE.T) + 11000.0 * np.diag([1, 1.2, 0.8, 0.5, 0.6, 0.4])).tolist(),
+    "piezo": (np.cos(np.arange(18.0)).reshape(3, 6) / 2.0).tolist(),
+    "permittivity": [[4e-4, 1e-5, 1e-5], [1e-5, 9e-4, 3e-4], [1e-5, 3e-4, 7e-4]],
+}
+
+
+def turned(vector: list[float], degrees: float, dimension: int) -> list[float]:
+    """A vector turned as the tilt of stacked blocks turns them, x towards up."""
+    up = dimension - 1 if len(vector) == dimension else 1
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    result = list(vector)
+    result[0], result[up] = c * vector[0] - s * vector[up], s * vector[0] + c * vector[up]
+    return result
+
+
+def tilted(degrees: float, dimension: int) -> Scene:
+    """Two blocks of a triclinic piezoelectric material, pressed and sheared, with everything turned together."""
+    depth = {} if dimension == 2 else {"depth": 1.0}
+    cells = [[3, 2], [2, 2]] if dimension == 2 else [[2, 2, 2], [3, 2, 1]]
+    axes = {"poling": [0.3, 0.4, 0.9], "axis1": [1.0, 0.2, 0.4]}
+    if dimension == 2:
+        axes = {"poling": [0.3, 0.9, 0.4], "axis1": [1.0, 0.4, 0.2]}
+    shift = [0.01, -0.03] if dimension == 2 else [0.01, 0.005, -0.03]
+    return Scene(
+        geometry={"shape": "stacked_blocks", "divisions": cells, "tilt": degrees, **depth},
+        mesh={"cells": "tensor"},
+        materials={"m": TRICLINIC | {name: turned(axis, degrees, dimension) for name, axis in axes.items()}},
+        bodies={"lower": "m", "upper": "m"},
+        boundaries=[
+            {"on": "bottom", "displacement": [0.0] * dimension, "potential": 0},
+            {"on": "top", "displacement": turned(shift, degrees, dimension), "potential": 2.0},
+        ],
+        contact={},
+        output={"fields": "none", "picture": False},
+    )
+
+
+def force(finished: Run, dimension: int, degrees: float) -> Array:
+    """The force on `top`, turned back."""
+    row = finished.history[-1]
+    return np.array(turned([row[f"force_{axis}@top"] for axis in "xyz"[:dimension]], -degrees, dimension))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_default_penalties_do_not_depend_on_the_axes(dimension: int) -> None:
+    straight, turned_round = (run(tilted(angle, dimension), MPI.COMM_SELF) for angle in (0.0, TILT))
+    expected = force(straight, dimension, 0.0)
+    assert np.abs(expected).max() > 100.0
+    np.testing.assert_allclose(force(turned_round, dimension, TILT), expected, atol=1e-9 * np.abs(expected).max())
+    for name in ("charge@top", "max_pressure@lower-upper", "elastic"):
+        assert turned_round.history[-1][name] == pytest.approx(straight.history[-1][name], rel=1e-9), name
+
+
+def fibers(rng: np.random.Generator, material: str, **changes: Any) -> Scene:
+    """Nine fibers with a poling each."""
+    directions = rng.normal(size=(9, 2)).tolist()
+    return Scene(
+        geometry={"shape": "fiber_array", "columns": 3, "rows": 3},
+        mesh={"size": 0.5},
+        materials={f"m{i}": {"like": material, "poling": d} for i, d in enumerate(directions)},
+        bodies={f"fiber_{i + 1}": f"m{i}" for i in range(9)} | changes,
+        contact={},
+        planes=[{"name": "floor", "point": "bottom", "potential": 0}],
+        output={"fields": "none", "picture": False},
+    )
+
+
+@pytest.mark.parametrize("material", ["pvdf", "pzt5h"])
+def test_fibers_of_any_poling_are_one_surface_pair(material: str, rng: np.random.Generator) -> None:
+    scene = fibers(rng, material)
+    bodies = create(MPI.COMM_SELF, scene.geometry, scene.sizes)
+    assert len(interfaces_of(Model(scene, bodies)).surface_pairs) == 1
+    other = fibers(rng, material, fiber_5="elastic")
+    pairs = interfaces_of(Model(other, bodies)).surface_pairs
+    # Nothing of the kind of the elastic fiber may meet another of it.
+    assert len(pairs) == 3
+    assert sum(p.law.electric_penalty is not None for p in pairs) == 1
