@@ -10,20 +10,25 @@ import argparse
 import json
 import logging
 import os
-import signal
+import shutil
 import sys
+import tempfile
 import traceback
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 from mpi4py import MPI
 
+from piezomat import environment
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
+from piezomat.progress import ignore_broken_pipes
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
-from piezomat.scene.errors import mesh_error, named
+from piezomat.scene.errors import LONGEST, mesh_error, named, shown
 from piezomat.usage import importing
 
 DONE, FAILED, WRONG_SCENE, NOT_CONVERGED = 0, 1, 2, 3
@@ -39,18 +44,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not logger.handlers:
         logger.addHandler(logging.NullHandler())  # without any, the ranks that keep no log would print errors
     try:
-        options = on_root(comm, lambda: _parse(argv))
-        return options if isinstance(options, int) else _COMMANDS[options.command](options, comm)
+        with warnings.catch_warnings():
+            warnings.showwarning = _log_warning
+            options = on_root(comm, lambda: _parse(argv))
+            return options if isinstance(options, int) else _COMMANDS[options.command](options, comm)
     except (SceneError, MeshError) as error:
         wrong = error if isinstance(error, SceneError) else mesh_error(error)
         return _fail(comm, wrong.in_file(_file(options)), WRONG_SCENE)
-    except BrokenPipeError:
-        # Python must not flush to the closed pipe when it exits.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            print("piezomat: interrupted", file=sys.stderr, flush=True)
+        words = _foreign(error)
+        if words is not None:
+            print(f"piezomat: {words}", file=sys.stderr, flush=True)
         else:
             traceback.print_exc()
             sys.stderr.flush()
@@ -60,11 +64,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
 
 
+def _foreign(error: BaseException) -> str | None:
+    """One line for an error of the system or of a library; None for an error of this program, which has a traceback."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, MemoryError):
+        return "there is not enough memory"
+    if isinstance(error, OSError):
+        return " ".join(str(error).split())
+    if type(error).__module__.startswith("petsc4py"):
+        return f"PETSc: {' '.join(str(error).split())}"
+    return None
+
+
+def _log_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    """Write a warning of a library to the log of the run: on the terminal it would be no line of this program."""
+    logging.getLogger("piezomat").debug("%s: %s", category.__name__, message)
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(WRONG_SCENE, f"{self.prog}: {message}\n")
+        self.exit(WRONG_SCENE, f"{self.prog}: {' '.join(message.split())}\n")
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
@@ -88,9 +110,9 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
             help="override keys",
         )
         if name == "run":
-            command.add_argument("--out", type=Path, metavar="DIR", help="default: results/NAME of the scene")
+            command.add_argument("--out", metavar="DIR", help="default: results/NAME of the scene")
         if name == "mesh":
-            command.add_argument("--out", type=Path, metavar="FILE.msh", required=True)
+            command.add_argument("--out", metavar="FILE.msh", required=True)
     for name, purpose in {
         "view": "draw pictures of a finished run",
         "resume": "go on from the last converged step of a run",
@@ -119,7 +141,9 @@ def _take_scene(options: argparse.Namespace, parser: argparse.ArgumentParser) ->
 
 def _run(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    out = options.out or Path("results") / scene_file.find(options.scene).stem
+    out = Path("results") / scene_file.find(options.scene).stem
+    if options.out is not None:
+        out = on_root(comm, lambda: _path(options.out, "a directory, new or of an older run"))
     on_root(comm, lambda: _check_directory(out))
     return _simulate(scene, comm, out, resume=False)
 
@@ -132,6 +156,11 @@ def _resume(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 
 def _simulate(scene: Scene, comm: MPI.Comm, out: Path, *, resume: bool) -> int:
+    with _compiled_forms(comm):
+        return _simulate_with_cache(scene, comm, out, resume=resume)
+
+
+def _simulate_with_cache(scene: Scene, comm: MPI.Comm, out: Path, *, resume: bool) -> int:
     with importing():
         from piezomat import simulation
         from piezomat.results.checkpoint import CheckpointError
@@ -148,18 +177,19 @@ def _simulate(scene: Scene, comm: MPI.Comm, out: Path, *, resume: bool) -> int:
 
 def _plan(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    from piezomat import simulation
+    with _compiled_forms(comm):
+        from piezomat import simulation
 
-    return _done(comm, simulation.plan(scene, comm))
+        return _result(comm, simulation.plan(scene, comm))
 
 
 def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    on_root(comm, lambda: _check_mesh_name(options.out))
+    out = on_root(comm, lambda: _mesh_name(options.out))
     from piezomat.meshes.body_mesh import create
 
-    create(comm, scene.geometry, scene.sizes, save=options.out)
-    return _done(comm, f"mesh in {options.out}")
+    create(comm, scene.geometry, scene.sizes, save=out)
+    return _done(comm, f"mesh in {out}")
 
 
 def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
@@ -174,7 +204,7 @@ def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 
 def _schema(options: argparse.Namespace, comm: MPI.Comm) -> int:
-    return _done(comm, json.dumps(schema(), indent=2))
+    return _result(comm, json.dumps(schema(), indent=2))
 
 
 _COMMANDS = {"run": _run, "plan": _plan, "mesh": _mesh, "view": _view, "resume": _resume, "schema": _schema}
@@ -194,43 +224,95 @@ def _scene_of_run(out: Path) -> Scene:
     return Scene.load(path, copy)
 
 
+@contextmanager
+def _compiled_forms(comm: MPI.Comm) -> Iterator[None]:
+    """Context in which there is a folder for compiled forms: the user's, or a temporary one. Collective."""
+    made = on_root(comm, environment.temporary_cache)
+    environment.use_cache(made)
+    try:
+        yield
+    finally:
+        if made is not None and comm.rank == 0:
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def _path(text: str, allowed: str) -> Path:
+    """The value of --out as a path. Raises SceneError for one that the system does not take."""
+    if not text:
+        raise SceneError("--out", '""', allowed)
+    try:
+        os.stat(text)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:
+        raise SceneError("--out", f"{shown(text)}: {getattr(error, 'strerror', None) or error}", allowed) from None
+    return Path(text)
+
+
 def _check_directory(out: Path) -> None:
     """Raise SceneError unless results can be written to `out`, which need not exist."""
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not there.is_dir():
         raise SceneError("--out", f"{there}, which is a file", "a directory, new or of an older run")
-    if not os.access(there, os.W_OK):
-        raise SceneError("--out", f"{there}, which cannot be written to", "a writable directory")
+    try:
+        os.rmdir(tempfile.mkdtemp(dir=there, prefix=".piezomat-"))  # a mode says nothing of /proc, nor to root
+    except OSError as error:
+        raise SceneError(
+            "--out", f"{there}, which cannot be written to ({error.strerror})", "a writable directory"
+        ) from None
 
 
-def _check_mesh_name(out: Path) -> None:
-    """Raise SceneError unless `out` can be the name of a new mesh file."""
+def _mesh_name(text: str) -> Path:
+    """The name of a new mesh file. Raises SceneError for a text that can be none."""
+    out = _path(text, "a name that ends in .msh")
     if out.suffix != ".msh":
         raise SceneError("--out", str(out), "a name that ends in .msh")
     if not out.absolute().parent.is_dir():
         raise SceneError("--out", f"{out}, in no directory", "a file in a directory that exists")
+    return out
 
 
 def _check_results(directory: Path, name: str) -> None:
     """Raise SceneError unless the directory holds that file of a run."""
-    if not (directory / name).is_file():
-        found = f"no {name} in it" if directory.is_dir() else "no such directory"
-        raise SceneError("", found, "the directory of a run").in_file(directory)
+    if not scene_file.is_file(directory / name):
+        found = f"no {name} in it" if scene_file.is_directory(directory) else "no such directory"
+        name = str(directory)
+        raise SceneError("", found, "the directory of a run").in_file(shown(name) if len(name) > LONGEST else directory)
 
 
 def _file(options: Any) -> str:
     """The scene file that a command works on, for its errors."""
-    return str(getattr(options, "scene", None) or Path(options.directory) / "scene.toml")
+    scene = getattr(options, "scene", None)
+    return str(Path(options.directory) / "scene.toml") if scene is None else scene
 
 
 def _done(comm: MPI.Comm, *lines: object) -> int:
-    """Print on rank 0."""
-    if comm.rank == 0:
-        # For PETSc, once loaded, a reader that has gone (`| head`) is a crash; for Python BrokenPipeError.
-        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-        for line in lines:
-            print(line, flush=True)
+    """Print on rank 0 what was done, which nobody needs to read."""
+    _print(comm, lines)
     return DONE
+
+
+def _result(comm: MPI.Comm, text: str) -> int:
+    """Print on rank 0 what the command is for."""
+    error = _print(comm, [text])
+    if error is None or isinstance(error, BrokenPipeError):  # `| head`
+        return DONE if error is None else FAILED
+    return _fail(comm, OSError(f"standard output: {error.strerror or error}"), FAILED)
+
+
+def _print(comm: MPI.Comm, lines: Sequence[object]) -> OSError | None:
+    """Print on rank 0; the error, on all ranks, if that fails. Collective."""
+    failure: OSError | None = None
+    if comm.rank == 0:
+        ignore_broken_pipes()
+        try:
+            for line in lines:
+                print(line, flush=True)
+        except OSError as error:
+            failure = error
+            # Python must not flush to the closed stream when it exits.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return comm.bcast(failure)
 
 
 def _fail(comm: MPI.Comm, error: Exception, status: int) -> int:

@@ -1,8 +1,14 @@
-"""Progress of a run: one line a load step and, on a terminal, a live bar. From rank 0 alone."""
+"""Progress of a run: one line a load step and, on a terminal, a live bar. From rank 0 alone.
+
+What it writes to may be closed, full or gone (`run | head`): then progress ends, and the run goes on.
+"""
 
 from __future__ import annotations
 
 import logging
+import signal
+import threading
+from collections.abc import Callable
 from typing import Any
 
 from mpi4py import MPI
@@ -11,6 +17,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as Bar
 
 log = logging.getLogger("piezomat")
+
+
+def ignore_broken_pipes() -> None:
+    """A reader that has gone is an error of the write alone. For PETSc, once it is loaded, it is a crash."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
 class Progress:
@@ -24,26 +36,51 @@ class Progress:
 
     def __enter__(self) -> Progress:
         if self._rank == 0:
-            console = Console(highlight=False)
-            shape = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-            self._bar = Bar(*shape, console=console, disable=self._many or not console.is_terminal, transient=True)
-            self._bar.start()
-            self._task = self._bar.add_task(self._title, total=self._total, completed=self._done)
+            ignore_broken_pipes()
+            self._attempt(self._start)
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._bar is not None:
-            self._bar.stop()
+            self._attempt(self._bar.stop)
 
     def step(self, row: dict[str, Any]) -> None:
         """Report a converged step from its history row."""
-        if self._bar is None:
+        if self._rank != 0:
             return
         factors = "  ".join(f"{k.removeprefix('factor:')} {v:+.4f}" for k, v in row.items() if k.startswith("factor:"))
         cut = f", cut {row['cutbacks']} times" if row["cutbacks"] else ""
         line = (
             f"step {row['step']:3d}/{self._total}  {factors}  {row['newton']} iterations{cut}  {row['seconds']:.2f} s"
         )
-        self._bar.console.print(line, markup=False)
-        self._bar.advance(self._task)
+        self._attempt(lambda: self._print(line))
         log.info("%s", line)
+
+    def _start(self) -> None:
+        console = _Console(highlight=False)
+        shape = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bar = Bar(*shape, console=console, disable=self._many or not console.is_terminal, transient=True)
+        self._bar.start()
+        self._task = self._bar.add_task(self._title, total=self._total, completed=self._done)
+
+    def _print(self, line: str) -> None:
+        if self._bar is not None:
+            self._bar.console.print(line, markup=False)
+            self._bar.console.file.flush()
+            self._bar.advance(self._task)
+
+    def _attempt(self, write: Callable[[], object]) -> None:
+        """Write, unless that fails: then nothing more is written."""
+        try:
+            write()
+        except (OSError, ValueError, AttributeError) as error:  # gone or full; closed by Python; never opened
+            self._bar = None
+            log.warning("no more progress on the terminal: %s", error)
+
+
+class _Console(Console):
+    """A console whose reader may go away."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise what rich has caught, which else ends the process."""
+        raise

@@ -13,6 +13,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from piezomat import environment
 from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import untouched_bodies
@@ -155,6 +156,8 @@ class _Session:
         with progress:
             if self.scene.outcome is not None:
                 log.info("%s", self.scene.outcome)
+            for note in environment.notes():
+                log.warning("%s", note)
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
             for step in todo:
                 if stop.requested():

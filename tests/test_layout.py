@@ -19,7 +19,18 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {"piezomat.forms": "forms", "piezomat.meshes": "meshes", "piezomat": "app"}
 # From below: packages, and modules directly in `app`. Each may import only those before it.
 ORDER = (
-    *("piezomat", "forms", "meshes", "usage", "scene", "discretization", "contact", "assembly", "solver"),
+    *(
+        "piezomat",
+        "environment",
+        "forms",
+        "meshes",
+        "usage",
+        "scene",
+        "discretization",
+        "contact",
+        "assembly",
+        "solver",
+    ),
     *("results", "pictures", "plan_text", "progress", "interrupts", "simulation", "cli", "__main__"),
 )
 

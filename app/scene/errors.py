@@ -9,6 +9,8 @@ from typing import Any
 
 from piezomat.meshes.gmsh_io.model import MeshError
 
+LONGEST = 100  # characters of a key in a message
+
 
 class SceneError(ValueError):
     """A wrong scene: the full path of the key, what is there and what may be.
@@ -39,11 +41,13 @@ def shown(value: Any, width: int = 72) -> str:
     if value is None:
         return "nothing"
     if isinstance(value, dict):
-        text = "{ " + ", ".join(f"{key} = {shown(item)}" for key, item in value.items()) + " }"
+        text = "{ " + ", ".join(f"{key} = {shown(item)}" for key, item in list(value.items())[:30]) + " }"
     elif isinstance(value, (list, tuple)):
-        text = "[" + ", ".join(shown(item) for item in value) + "]"
+        text = "[" + ", ".join(shown(item) for item in value[:60]) + "]"
     elif isinstance(value, (str, bool)):
         text = json.dumps(value, ensure_ascii=False)
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        text = "an integer beyond 64 bits"
     else:
         text = str(value)
     return text if len(text) <= width else f"{text[: width - 25]} ... {text[-20:]}"
@@ -53,7 +57,8 @@ def dotted(path: Sequence[str | int]) -> str:
     """The path as it is written in messages: `boundaries[1].displacement`."""
     text = ""
     for part in path:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        name = part if isinstance(part, int) or len(part) <= LONGEST else f"{part[:LONGEST]}..."
+        text += f"[{name}]" if isinstance(name, int) else f".{name}" if text else name
     return text
 
 

@@ -22,6 +22,7 @@ from piezomat.scene.checks import check
 from piezomat.scene.data import SceneData, groups_of
 from piezomat.scene.errors import SceneError, named, unknown_name
 from piezomat.scene.validation import scene_error
+from piezomat.scene.values import check_values
 
 
 class Scene(SceneData):
@@ -31,11 +32,15 @@ class Scene(SceneData):
     """
 
     def __init__(self, **data: Any) -> None:
-        data = _plain(data)
+        try:
+            data = _plain(data)
+        except RecursionError:
+            raise SceneError("", "values nested too deeply", "the tables of a scene") from None
+        check_values(data)
         _check_geometry_kind(data.get("geometry"))
         try:
             # As JSON: pydantic's strict rules for JSON are those of a file, text for paths among them.
-            text = json.dumps(data, default=str)
+            text = json.dumps(data)
             self.__pydantic_validator__.validate_json(text, strict=True, self_instance=self)
         except ValidationError as error:
             raise scene_error(error, data, schema()) from None

@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from piezomat.scene.errors import SceneError, dotted, named, near, shown
+from piezomat.scene.errors import LONGEST, SceneError, dotted, named, near, shown
+from piezomat.scene.values import check_values
 
 EXAMPLES = Path(__file__).parent.with_name("scenes")
 
@@ -28,8 +29,14 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "charge_density": ("potential",),
 }
 
+MOST_BYTES = 4_000_000  # of a scene file: 400,000 unknown keys take 6 s to refuse
+MOST_PARTS = 32  # of a dotted key: tomllib takes 14 s for one of 20,000
+
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_PART = re.compile(r"""(?:^|\.)(?:(?P<bare>[A-Za-z0-9_-]+)|"(?P<quoted>[^"]*)")|\[(?P<index>\d+)\]""")
+_DOTTED = re.compile(
+    rf"""^[ \t]*\[{{0,2}}[ \t]*(?:(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_PARTS}}}""", re.MULTILINE
+)
+_PART = re.compile(r"""(?:^|\.)(?:(?P<bare>[A-Za-z0-9_-]+)|"(?P<quoted>[^"]*)")|\[(?P<index>[0-9]+)\]""")
 
 
 def examples() -> list[str]:
@@ -40,15 +47,32 @@ def examples() -> list[str]:
 def find(scene: str | Path) -> Path:
     """The file that SCENE means: a path, or the name of a shipped example. Raises SceneError for neither."""
     path = Path(scene)
-    if path.is_file():
+    if is_file(path):
         return path
     shipped = EXAMPLES / f"{str(scene).removesuffix('.toml')}.toml"
-    if path.parent == Path(".") and shipped.is_file():
+    if path.parent == Path(".") and is_file(shipped):
         return shipped
-    found = "a directory" if path.is_dir() else "no such file"
+    found = "a directory" if is_directory(path) and str(scene) else "no such file"
     known = examples()
     allowed = f"the path of a scene file or a shipped example: {named(known)}{near(path.stem, known)}"
-    raise SceneError("", found, allowed).in_file(scene)
+    named_there = str(scene) and len(str(scene)) <= LONGEST
+    raise SceneError("", found, allowed).in_file(scene if named_there else shown(str(scene)))
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file of this name; False also for names that the system does not take."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_directory(path: Path) -> bool:
+    """Whether there is a directory of this name; False also for names that the system does not take."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -56,22 +80,39 @@ def read(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
 
     Raises SceneError for a file that cannot be read or is no TOML, and for an override that fits nowhere.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SceneError("", f"a file that cannot be read ({error.strerror})", "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise SceneError("", f"bytes that are no text ({error.reason})", "TOML in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError("", f"text that is no TOML: {error}", "TOML") from None
-    except RecursionError:
-        raise SceneError("", "values nested too deeply", "TOML of a scene") from None
+    data = _tables(path)
+    check_values(data)
     for override in overrides:
         override_key(data, override)
     geometry = data.get("geometry")
     if isinstance(geometry, dict) and isinstance(geometry.get("file"), str):
         geometry["file"] = str(path.parent.absolute() / geometry["file"])
     return data
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    """What the file holds. Raises SceneError."""
+    try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise SceneError("", f"a file of {size:,} bytes", f"a scene of at most {MOST_BYTES:,} bytes")
+        text = path.read_text(encoding="utf-8-sig")  # editors of Windows write a byte-order mark
+    except OSError as error:
+        raise SceneError("", f"a file that cannot be read ({error.strerror})", "a readable file") from None
+    except UnicodeDecodeError as error:
+        raise SceneError("", f"bytes that are no text ({error.reason})", "TOML in UTF-8") from None
+    deep = _DOTTED.search(text)
+    if deep:
+        line = text.count("\n", 0, deep.end()) + 1
+        raise SceneError("", f"a key of {MOST_PARTS} parts or more in line {line}", "the keys of a scene")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError("", f"text that is no TOML: {error}", "TOML") from None
+    except RecursionError:
+        raise SceneError("", "values nested too deeply", "TOML of a scene") from None
+    except ValueError:
+        raise SceneError("", "an integer of thousands of digits", "integers of 64 bits") from None
 
 
 def override_key(data: dict[str, Any], override: str) -> None:
@@ -82,21 +123,25 @@ def override_key(data: dict[str, Any], override: str) -> None:
     """
     key, equals, text = (part.strip() for part in override.partition("="))
     parts = _parts(key)
-    if not equals or not parts:
+    if not equals or not parts or len(parts) > MOST_PARTS:
         raise SceneError("--set", shown(override), "KEY=VALUE, such as contact.method=node")
     table: Any = data
     for depth, part in enumerate(parts):
         if isinstance(table, list):
-            if not isinstance(part, int) and not part.isdigit():
-                raise SceneError(dotted(parts[:depth]), f'"{part}" in --set {override}', "an index of this list")
-            parts[depth] = part = int(part)
+            if not isinstance(part, int) and not re.fullmatch("[0-9]+", part):
+                found = f"{shown(part)} in --set {shown(override)}"
+                raise SceneError(dotted(parts[:depth]), found, "an index of this list")
+            parts[depth] = part = _index(part)
             if part >= len(table):
                 allowed = f"indices 0 to {len(table) - 1}" if table else "no index: the list is empty"
                 raise SceneError(dotted(parts[: depth + 1]), "an index outside the list", allowed)
         elif not isinstance(table, dict) or isinstance(part, int):
-            raise SceneError(dotted(parts[:depth]), f"{shown(table)} with --set {override}", "a value without keys")
+            found = f"{shown(table)} with --set {shown(override)}"
+            raise SceneError(dotted(parts[:depth]), found, "a value without keys")
         if depth == len(parts) - 1:
-            table[part] = _value(text)
+            value = _value(key, text)
+            check_values(value, tuple(parts))
+            table[part] = value
             for rival in RIVALS.get(part, ()) if isinstance(part, str) else ():
                 table.pop(rival, None)
         else:
@@ -110,16 +155,25 @@ def _parts(key: str) -> list[str | int]:
     while match := _PART.match(key, end):
         end = match.end()
         index = match["index"]
-        parts.append(int(index) if index is not None else match["bare"] or match["quoted"] or "")
+        parts.append(_index(index) if index is not None else match["bare"] or match["quoted"] or "")
     return parts if end == len(key) else []
 
 
-def _value(text: str) -> Any:
-    """The value of an override: what TOML reads, otherwise the text itself."""
+def _index(text: str | int) -> int:
+    """An index of a list; one of ten digits or more is beyond any list, and Python does not read thousands of them."""
+    return int(text) if isinstance(text, int) or len(text) < 10 else 10**9
+
+
+def _value(key: str, text: str) -> Any:
+    """The value of an override: what TOML reads, otherwise the text itself. SceneError: no scene holds such a value."""
     try:
         table = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    except RecursionError:
+        raise SceneError(key[:LONGEST], "values nested too deeply", "TOML of a scene") from None
+    except ValueError:
+        raise SceneError(key[:LONGEST], "an integer of thousands of digits", "integers of 64 bits") from None
     return table["value"] if len(table) == 1 else text
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.meshes.names import breaking_character
 
 VERSIONS = ("2.2", "4.1")
 BINARY = {"i": "<i4", "z": "<u8", "d": "<f8"}
@@ -75,13 +76,14 @@ def _format(data: bytes) -> tuple[str, bool]:
 
 def _sections(data: bytes) -> Iterator[tuple[str, bytes]]:
     """Name and inside of each section; the first is MeshFormat."""
-    if not data.startswith(b"$MeshFormat"):
+    at = data.find(b"$MeshFormat")
+    if at < 0 or (at > 0 and not data.startswith(b"$Comments")):
         raise MeshError("this is not a gmsh mesh (MSH) file")
-    at = 0
     while (at := data.find(b"$", at)) >= 0:
         start = data.find(b"\n", at) + 1
         name = data[at + 1 : start].strip()
-        end = data.find(b"$End" + name, start) if start > 0 else -1
+        # At the start of a line: a group's name may hold the same. Not all writers end binary data with a line.
+        end = data.find(b"\n$End" + name, start - 1) + 1 or data.find(b"$End" + name, start) if start > 0 else -1
         if end < 0:
             raise MeshError("the file ends too early: it is truncated")
         yield name.decode("ascii", "replace"), data[start:end]
@@ -248,7 +250,12 @@ def _names(data: bytes) -> dict[tuple[int, int], str]:
         match = re.fullmatch(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*', line)
         try:
             dim, tag, name = match.groups()
-            found[int(dim), int(tag)] = name.decode("utf-8")
-        except (AttributeError, UnicodeDecodeError):
+            key, text = (int(dim), int(tag)), name.decode("utf-8")
+        except (AttributeError, ValueError):
             raise MeshError("section $PhysicalNames is damaged") from None
+        if broken := breaking_character(text):
+            raise MeshError(
+                f"the name of physical group {key[1]} of dimension {key[0]} holds {broken}, which breaks lines"
+            )
+        found[key] = text
     return found

@@ -15,6 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.centre_lines import Face, Fiber
 from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.meshes.names import breaking_character
 from piezomat.meshes.shapes.deposition import Bed, Faces, lay_all
 from piezomat.meshes.shapes.fiber_shape import FiberShape
 
@@ -220,9 +221,9 @@ class Fibers(FiberShape):
     @cached_property
     def fibers(self) -> tuple[Fiber, ...]:
         try:
-            with self.file.open(newline="", encoding="utf-8") as file:
+            with self.file.open(newline="", encoding="utf-8-sig") as file:  # Excel writes a byte-order mark
                 rows = list(csv.DictReader(file, skipinitialspace=True))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+        except (OSError, ValueError, csv.Error) as error:
             raise MeshError(f"{self.file}: {getattr(error, 'strerror', None) or error}", "geometry.file") from None
         points: dict[str, list[list[float]]] = {}
         for line, row in enumerate(rows, start=2):
@@ -232,6 +233,8 @@ class Fibers(FiberShape):
                     raise ValueError
             except (KeyError, TypeError, ValueError):
                 raise self._wrong(f"line {line} is not a name, three coordinates and a radius > 0") from None
+            if broken := breaking_character(row["fiber"]):
+                raise self._wrong(f"the name in line {line} holds {broken}, which breaks lines")
             points.setdefault(row["fiber"], []).append(numbers)
         if not points:
             raise self._wrong("it lists no fibers")

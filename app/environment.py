@@ -1,0 +1,73 @@
+"""What a process of the command line finds around it: streams, working folder, home. Set right before the rest loads.
+
+`prepare` is called before MPI, DOLFINx and PETSc are imported, each of which ends in an error of its own where the
+working folder is gone or an argument is no text. This module imports nothing but Python's own.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+_notes: list[str] = []
+
+
+def prepare(arguments: Sequence[str]) -> str | None:
+    """Open the standard streams and look at folder and arguments: what is wrong, in one line, or None."""
+    _open_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a name that the terminal has no characters for ends no run
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        os.getcwd()
+    except OSError:
+        return "the working folder: found none, it has been removed; allowed: a folder that exists"
+    for argument in arguments:
+        try:
+            argument.encode("utf-8")
+        except UnicodeEncodeError:
+            return f"{ascii(argument)[:100]}: found bytes that are no text; allowed: arguments and file names in UTF-8"
+        if len(os.fsencode(argument)) > 100_000:
+            return f"{argument[:40]}...: found an argument of {len(argument)} characters; allowed: at most 100,000"
+    return None
+
+
+def use_cache(made: str | None) -> None:
+    """Let compiled forms, and Matplotlib, be kept in this folder; None: where they are by default."""
+    if made is not None:
+        os.environ["XDG_CACHE_HOME"] = os.environ["XDG_CONFIG_HOME"] = os.environ["MPLCONFIGDIR"] = made
+        _notes.append(
+            f"no folder for compiled forms can be written to in the home: they are kept in {made} for this run"
+        )
+
+
+def temporary_cache() -> str | None:
+    """A new folder for compiled forms where that of the user cannot be written to, else None. The caller removes it."""
+    try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"
+        cache.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=cache):
+            return None
+    except (OSError, RuntimeError):  # RuntimeError: there is no home
+        return tempfile.mkdtemp(prefix="piezomat-cache-")
+
+
+def notes() -> list[str]:
+    """What of the surroundings a run depends on and its scene does not say, for its log."""
+    options = os.environ.get("PETSC_OPTIONS")
+    return [*_notes, *([f"PETSC_OPTIONS is set: {' '.join(options.split())}"] if options else [])]
+
+
+def _open_streams() -> None:
+    """Open closed standard streams on nothing: files opened later would get their numbers, and what is printed."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
