@@ -25,7 +25,7 @@ class StabilizationStiffness:
     """Springs of the unconstrained parts of a model: force factor * stiffness * (x - x_n). Every method is collective.
 
     is_active: whether a part has springs
-    factor: by how much they are stronger than weak ones, see `piezomat.solver.stabilization`
+    factor: by how much they are stronger than weak ones, see `piezomat.solver.stabilization_continuation`
     """
 
     def __init__(self, model: Model, converged_state: PETSc.Vec) -> None:

@@ -215,6 +215,26 @@ class Interfaces:
         self._plane_terms = terms[len(self.surface_pairs) :]
         return ContactTerms.joined([self._none[tangent], *terms])
 
+    def predict(self, change: PETSc.Vec) -> Array:
+        """Let contact respond from now on as after this change of the state of its last evaluation.
+
+        Norms (2,) of the forces and charges that the last response, linearized, misses; not numbers where facets have
+        collapsed, infinite where a change is wild.
+        """
+        nodal, sums = self.nodes.gather(change), np.zeros(2)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                for p in self.point_sets:
+                    sums += p.predict(self.state, nodal)
+        except np.linalg.LinAlgError:
+            sums[:] = np.nan
+        return np.sqrt(parallel.total(self.comm, sums))
+
+    def end_prediction(self) -> None:
+        """Let contact respond at the states that are evaluated again."""
+        for p in self.point_sets:
+            p.end_prediction()
+
     def add_residual(self, terms: ContactTerms, residual: PETSc.Vec) -> None:
         """Add the terms' vectors to a distributed residual."""
         self.nodes.add(terms.nodes, terms.vectors, residual)

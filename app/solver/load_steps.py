@@ -22,7 +22,7 @@ from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import NewtonReport, SolveError
 from piezomat.solver.snap_through import snap_through, snap_through_work
-from piezomat.solver.stabilization import Stabilization
+from piezomat.solver.stabilization_continuation import StabilizationContinuation
 
 log = logging.getLogger("piezomat")
 
@@ -97,7 +97,9 @@ class Stepper:
         """augment_tolerance: see `contact.augment` of a scene; None: no augmentation."""
         self.problem = problem
         self.newton = newton
-        self.stabilization = Stabilization(problem, newton.solve) if problem.stabilization.is_active else None
+        self.stabilization = (
+            StabilizationContinuation(problem, newton.solve) if problem.stabilization.is_active else None
+        )
         self.max_cutbacks = max_cutbacks
         self.augment_tolerance = augment_tolerance
         self.size = 1.0

@@ -1,4 +1,4 @@
-"""Stabilization: how stiff the springs on unconstrained bodies are while a load level is solved.
+"""Continuation of the stabilization: how stiff the springs on unconstrained bodies are while a load level is solved.
 
 A body that contact alone can hold is thrown about by Newton's method. Weak springs at all its unknowns, which start
 from the last converged state, keep the tangent regular. Where they do not hold a body, there are two ways:
@@ -30,7 +30,7 @@ STIFFER, LARGEST_ENERGY_SHARE = 100.0, 5e-4
 UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 
 
-class Stabilization:
+class StabilizationContinuation:
     """Solves a problem with unconstrained bodies by changing the stiffness of their springs. Methods are collective.
 
     newton(search_radius, report): Newton's method with the springs as they are; see `Newton.solve`.

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.contact import active_set
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
@@ -64,15 +63,15 @@ def test_the_response_of_a_plane_is_predicted_exactly(order: int, comm: MPI.Comm
         p.law.fade[:] = 0.3  # points in the fading part of the electric law count too
     contact.evaluate(state, tangent=True)
     (p,) = contact.planes
-    missed = active_set.predict(contact, change)
+    missed = contact.predict(change)
     terms = contact.evaluate(state, tangent=True)
-    assert np.abs(active_set.predict(contact, change)).max() < 1e-12 * missed.max()
+    assert np.abs(contact.predict(change)).max() < 1e-12 * missed.max()
     found, expected = state.duplicate(), state.duplicate()
     for vector in (found, expected):
         vector.set(0.0)
     contact.add_product(terms, change, found)
     contact.add_residual(terms, found)
-    active_set.end_prediction(contact)
+    contact.end_prediction()
     moved, at = state + change, p.projection.gap
     contact.add_residual(contact.evaluate(moved, tangent=False), expected)
     assert np.linalg.norm((found - expected).array) < 1e-12 * np.linalg.norm(expected.array)

@@ -12,7 +12,7 @@ from piezomat.assembly import stabilization_stiffness
 from piezomat.assembly.problem import Problem
 from piezomat.scene import Scene
 from piezomat.simulation import NotConverged, run
-from piezomat.solver import stabilization
+from piezomat.solver import stabilization_continuation as continuation
 from piezomat.solver.load_steps import steps
 from piezomat.solver.outcome import SolveError
 from tests.marching import stepper_of
@@ -79,31 +79,31 @@ def test_springs_are_stiffer_once_weak_ones_have_failed() -> None:
     weak = FailsWhileWeak()
     with stepper_of(block(), MPI.COMM_SELF, weak) as stepper:
         found = [stepper.advance(step, lambda part: None) for step in steps(block().load)]
-    assert weak.factors == [1.0, *[stabilization.STIFFER] * 3]
+    assert weak.factors == [1.0, *[continuation.STIFFER] * 3]
     assert not any(report.cutbacks for report in found)
 
 
 def test_many_unconstrained_bodies_have_stiffer_springs_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stabilization, "MANY_BODIES", 1)
+    monkeypatch.setattr(continuation, "MANY_BODIES", 1)
     weak = FailsWhileWeak()
     with stepper_of(block(), MPI.COMM_SELF, weak) as stepper:
         for step in steps(block().load):
             stepper.advance(step, lambda part: None)
-    assert weak.factors == [stabilization.STIFFER] * 3
+    assert weak.factors == [continuation.STIFFER] * 3
 
 
 @pytest.mark.mpi
 def test_stiffer_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = run(block(), comm).history
-    stronger = stabilization.STIFFER * stabilization_stiffness.RELATIVE_STIFFNESS
+    stronger = continuation.STIFFER * stabilization_stiffness.RELATIVE_STIFFNESS
     monkeypatch.setattr(stabilization_stiffness, "RELATIVE_STIFFNESS", stronger)
     for held, row in zip(run(block(), comm).history, weak, strict=True):
         assert held["force_y@lid"] == pytest.approx(row["force_y@lid"], rel=1e-5)
-        assert 50 * row["stabilization"] < held["stabilization"] < stabilization.LARGEST_ENERGY_SHARE * held["elastic"]
+        assert 50 * row["stabilization"] < held["stabilization"] < continuation.LARGEST_ENERGY_SHARE * held["elastic"]
 
 
 def test_springs_that_take_energy_are_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stabilization, "STIFFER", 1e6)
+    monkeypatch.setattr(continuation, "STIFFER", 1e6)
     scene, weak = Scene(**block().model_dump(exclude_unset=True) | {"solver": {"max_cutbacks": 1}}), FailsWhileWeak()
     with (
         stepper_of(scene, MPI.COMM_SELF, weak) as stepper,
@@ -183,4 +183,4 @@ def test_no_body_stays_where_a_wild_step_threw_it() -> None:
         stepper.advance(next(steps(scene.load)), lambda part: None)
         moved = problem.model.unknowns.displacements(problem.state)
         assert next(times, None) is None and np.abs(moved).max() < 0.01
-        assert problem.stabilization.load_share(problem.state, problem.loads.vector) < stabilization.LARGEST_LOAD_SHARE
+        assert problem.stabilization.load_share(problem.state, problem.loads.vector) < continuation.LARGEST_LOAD_SHARE
