@@ -12,6 +12,7 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.model import CELLS, Elements, Group, MeshError
+from piezomat.meshes.joints import CellFacets
 
 # A cell is degenerate when its least Jacobian is this small beside its greatest.
 DEGENERATE = 1e-6
@@ -21,7 +22,7 @@ FACETS = {
     "tetrahedron": "triangle",
     "hexahedron": "quadrilateral",
 }
-CORNERS = {"interval": 2, "triangle": 3, "quadrilateral": 4}
+CORNERS = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,9 @@ def mesh_arrays(order: int) -> Arrays:
     kind = cells[0][1].type
     if CELLS.get(kind, ("", 0))[1] != order:
         name = gmsh_model.type_name(kind)
-        raise MeshError(f"cells of type {name} cannot be used (second order needs complete cells: 9, 27 nodes)")
+        raise MeshError(
+            f"cells of type {name} cannot be used with mesh.order = 2: second order needs complete cells (9, 27 nodes)"
+        )
     tags, x = gmsh_model.nodes()
     at = np.argsort(tags)
     tags, x = tags[at], x[at]
@@ -75,13 +78,14 @@ def mesh_arrays(order: int) -> Arrays:
     if not np.isin(used, tags).all():
         raise MeshError("some cells have nodes that do not exist")
     x = x[np.searchsorted(tags, used)]
-    _check_cells(dim, [(found, np.searchsorted(used, found.nodes)) for _, found in cells], x)
-
     all_cells = np.concatenate([np.searchsorted(used, found.nodes) for _, found in cells])
     cell_body = np.concatenate([np.full(len(found.tags), body, np.int32) for body, found in cells])
+    _check_nodes(dim, x)
     _check_once(all_cells, cell_body, bodies)
-
     name = CELLS[kind][0]
+    _check_cells(dim, np.concatenate([found.tags for _, found in cells]), x[all_cells])
+    _check_folds(CellFacets(name, x[:, :dim], all_cells[:, : CORNERS[name]]))
+
     permutation = fenicsx.gmsh_permutation(name, cells[0][1].nodes.shape[1])
     facets, values, combinations = _facets(dim, (FACETS[name], order), facet_groups, used)
     return Arrays(
@@ -111,6 +115,9 @@ def _cells(dim: int, bodies: list[Group]) -> list[tuple[int, Elements]]:
         if entity not in named and gmsh_model.elements(dim, entity):
             raise MeshError("some cells belong to no physical group, so to no body")
     kinds = {found.type for _, found in cells}
+    for name in sorted(gmsh_model.type_name(kind) for kind in kinds):
+        if not name.startswith(tuple(shape.capitalize() for shape in FACETS)):
+            raise MeshError(f"cells of type {name} cannot be used, only {', '.join(FACETS)} cells")
     if len(kinds) > 1:
         names = " and ".join(sorted(gmsh_model.type_name(kind) for kind in kinds))
         raise MeshError(f"it mixes cells of different types ({names}); use one")
@@ -130,33 +137,41 @@ def _check_once(cells: Integers, cell_body: NDArray[np.int32], bodies: list[Grou
         raise MeshError(f"bodies {first!r} and {second!r} have cells in common")
 
 
-def _check_cells(dim: int, cells: list[tuple[Elements, Integers]], x: Array) -> None:
-    """Raise MeshError where nodes are not finite or not in a plane, or cells are inverted or degenerate."""
+def _check_nodes(dim: int, x: Array) -> None:
+    """Raise MeshError where nodes are not finite or, of a 2D mesh, not in a plane of x and y."""
     if not np.isfinite(x).all():
         raise MeshError("a node has coordinates that are not finite")
     if dim == 2 and np.ptp(x[:, 2]) > 1e-9 * np.ptp(x, axis=0).max():
         low, high = x[:, 2].min(), x[:, 2].max()
         raise MeshError(f"a 2D mesh must lie in a plane of x and y, but its z goes from {low:g} to {high:g}")
-    for found, nodes in cells:
-        least = gmsh.model.mesh.getElementQualities(found.tags, "minDetJac")
-        greatest = gmsh.model.mesh.getElementQualities(found.tags, "maxDetJac")
-        bad = ~(least > DEGENERATE * np.abs(greatest))
-        if dim == 2:
-            # gmsh measures a plane cell against its own normal. The normal of a whole surface may point either way.
-            bad |= ~(_turns(x[nodes], found.type) > 0)
-        if bad.any():
-            first = x[nodes[np.flatnonzero(bad)[0]]].mean(axis=0)[:dim]
-            place = ", ".join(f"{c:.4g}" for c in first)
-            raise MeshError(f"inverted or degenerate cells: {int(bad.sum())}, the first at ({place})")
 
 
-def _turns(x: Array, kind: int) -> Array:
-    """Signed area (n,) of plane cells (n, nodes, 3), positive for the orientation of most of them."""
-    corners = x[:, : CORNERS[CELLS[kind][0]], :2]
-    following = np.roll(corners, -1, axis=1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        area = 0.5 * (corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]).sum(axis=1)
-    return area * (1.0 if 2 * (area > 0).sum() >= len(area) else -1.0)
+def _check_cells(dim: int, tags: Integers, x: Array) -> None:
+    """Raise MeshError where cells, given by gmsh's tags (n,) and nodes (n, nodes, 3), are inverted or degenerate.
+
+    Each cell is measured against its own orientation: surfaces and volumes may be drawn either way.
+    """
+    least, greatest = (gmsh.model.mesh.getElementQualities(tags, f"{name}DetJac") for name in ("min", "max"))
+    low, high = np.minimum(np.abs(least), np.abs(greatest)), np.maximum(np.abs(least), np.abs(greatest))
+    bad = ~((least * np.sign(greatest) > 0.0) & (low > DEGENERATE * high))
+    if bad.any():
+        first = np.flatnonzero(bad)[0]
+        raise MeshError(f"inverted or degenerate cells: {int(bad.sum())}, the first at {_place(x[first, :, :dim])}")
+
+
+def _check_folds(facets: CellFacets) -> None:
+    """Raise MeshError where two cells lie on the same side of the facet that they share."""
+    folded = facets.folded()
+    if len(folded):
+        place = _place(facets.x[facets.nodes[folded[0]]])
+        raise MeshError(
+            f"inverted or degenerate cells overlap their neighbours: at {len(folded)} facets, as at {place}"
+        )
+
+
+def _place(points: Array) -> str:
+    """The middle of some points (n, d) in words."""
+    return "(" + ", ".join(f"{c:.4g}" for c in points.mean(axis=0)) + ")"
 
 
 def _facets(
