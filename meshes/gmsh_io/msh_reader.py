@@ -76,29 +76,17 @@ def _format(data: bytes) -> tuple[str, bool]:
 
 
 def _sections(data: bytes) -> Iterator[tuple[str, bytes]]:
-<<<<<<< Updated upstream
-    """Name and inside of each section; the first is MeshFormat."""
-    at = data.find(b"$MeshFormat")
-    if at < 0 or (at > 0 and not data.startswith(b"$Comments")):
-=======
     """Name and inside of each section; before MeshFormat there may be comments alone."""
     at = _end_of_comments(data)
     if not data.startswith(b"$MeshFormat", at):
->>>>>>> Stashed changes
         raise MeshError("this is not a gmsh mesh (MSH) file")
     while (at := data.find(b"$", at)) >= 0:
         start = data.find(b"\n", at) + 1
         name = data[at + 1 : start].strip()
-<<<<<<< Updated upstream
-        # At the start of a line: a group's name may hold the same. Not all writers end binary data with a line.
-        end = data.find(b"\n$End" + name, start - 1) + 1 or data.find(b"$End" + name, start) if start > 0 else -1
-        if end < 0:
-=======
         # At the start of a line, unless the last line of binary data has no end: a name may hold the same words.
         end = data.find(b"\n$End" + name, start - 1) + 1 if start > 0 else 0
         end = end or data.find(b"$End" + name, start)
         if start == 0 or end < 0:
->>>>>>> Stashed changes
             raise MeshError("the file ends too early: it is truncated")
         yield name.decode("ascii", "replace"), data[start:end]
         at = end + len(name) + 4
