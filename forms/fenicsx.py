@@ -1,7 +1,7 @@
 """All that depends on the version of DOLFINx (0.5 in Debian 12, 0.9 in Debian 13, 0.11 on PyPI) and of its PETSc.
 
 This is what has changed from one to another, and what lies below the public interface (`dolfinx.cpp`, layouts of
-arrays), which may change. No other module reads a version. This one imports nothing of the project.
+arrays), which may change. No other module reads a version.
 """
 
 from __future__ import annotations
@@ -11,9 +11,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import piezomat.forms.petsc  # noqa: F401
+
+# isort: split
 import basix
 import dolfinx
 import dolfinx.io
+import dolfinx.jit
+import ffcx
 import numpy as np
 import ufl
 from mpi4py import MPI
@@ -35,6 +40,10 @@ NOT_A_NUMBER = _reasons.DIVERGED_FUNCTION_NANORINF if NEWEST else _reasons.DIVER
 # The form compiler logs every call of the C compiler to the root logger.
 for _handler in logging.getLogger().handlers:
     _handler.setLevel(logging.WARNING)
+# The form compiler reads options, such as a plug-in for the C compiler, from files of the home and the working folder,
+# which may be a stranger's: no files, as with PETSc and gmsh.
+for _module in (dolfinx.jit, ffcx.options if NEW else ffcx.parameters):
+    setattr(_module, "_load_options" if NEW else "_load_parameters", lambda: ({}, {}))
 # PETSc 3.22 ends with a list of unused options, such as those of a solver that no step needed.
 PETSc.Options()["options_left"] = "no"
 

@@ -23,6 +23,7 @@ from pydantic import (
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material, permittivity_matrix, piezo_matrix
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
+from piezomat.scene.petsc_options import check_petsc_options
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -353,7 +354,18 @@ class Solver(Keys):
     max_iterations: Count = Field(25, description="Newton iterations of a step before it is cut")
     max_cutbacks: Annotated[int, Field(ge=0)] = Field(8, description="times that a step is halved before giving up")
     kind: Literal["auto", "direct", "iterative"] = Field("auto", description="linear solver")
-    petsc: dict[Name, str | bool | int | float] = Field({}, description="PETSc options, passed on as they are")
+    petsc: dict[Name, str | bool | int | float] = Field(
+        {},
+        description="PETSc options of the solvers: names from snes_, ksp_, pc_, mat_mumps_, values that name no file",
+    )
+
+    @model_validator(mode="after")
+    def _harmless(self) -> Self:
+        try:
+            check_petsc_options(self.petsc)
+        except SceneError as error:
+            raise SceneError(f"petsc.{error.key}".rstrip("."), error.found, error.allowed) from None
+        return self
 
 
 class Output(Keys):

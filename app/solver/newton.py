@@ -12,7 +12,6 @@ SNES calls, in this order, the methods below: `_residual_at`, `_test_convergence
 
 from __future__ import annotations
 
-import itertools
 from contextlib import ExitStack
 
 import numpy as np
@@ -26,10 +25,10 @@ from piezomat.solver.convergence import Convergence
 from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
 from piezomat.solver.linear import linear_solver
+from piezomat.solver.options import SolverOptions
 from piezomat.solver.outcome import NewtonReport, SolveError
 from piezomat.solver.start_value import StartValue
 
-PREFIXES = (f"piezomat{number}_" for number in itertools.count())  # one run's options are not the next one's
 # Relative residual of the displacements below which electrostatic attraction acts on unconstrained bodies; above it, it
 # would throw them about.
 ATTRACTION = 1e-3
@@ -48,9 +47,9 @@ class Newton:
         self.problem = problem
         self.keys = keys
         self.linear = linear_solver(problem, keys)
-        prefix = next(PREFIXES)
+        self._options = SolverOptions({"snes_linesearch_type": "basic", **self.linear.options()}, keys.petsc)
         self.snes = PETSc.SNES().create(problem.comm)
-        self.snes.setOptionsPrefix(prefix)
+        self.snes.setOptionsPrefix(self._options.prefix)
         self.snes.setType(PETSc.SNES.Type.NEWTONLS)
         self.convergence = Convergence(problem, keys.tolerance)
         self.line_search = LineSearch(problem)
@@ -60,23 +59,20 @@ class Newton:
         self._residual = problem.state.duplicate()
         self._report = NewtonReport()
         self._timed_linear_solve = ExitStack()
-        options = {"snes_linesearch_type": "basic", **self.linear.options(), **keys.petsc}
-        self._options = {prefix + name: value for name, value in options.items()}
-        for name, value in self._options.items():
-            PETSc.Options()[name] = value
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._residual_at, self._residual)
         self.snes.setConvergenceTest(self._test_convergence)
         if problem.contact is not None:
             self.snes.setLineSearchPreCheck(self._adapt_step)
-        self.linear.attach(self.snes.getKSP())
-        self.snes.setFromOptions()
+        with self._options.blamed():
+            self.linear.attach(self.snes.getKSP())
+            self.snes.setFromOptions()
+        self._options.check_used(problem.comm, ("snes_", "ksp_"))
+        self._options_are_checked = False
 
     def close(self) -> None:
-        """Take this solver's options out of PETSc's database, which holds 512 at most. Not collective; ends its use."""
-        options = PETSc.Options()
-        for name in self._options:
-            options.delValue(name)
+        """Take this solver's options out of PETSc's database. Not collective; ends its use."""
+        self._options.remove()
         # SNES holds methods of this solver: with newer PETSc Python cannot find that the two hold only each other.
         self.snes.getDict().clear()
         self.linear.close()
@@ -106,7 +102,11 @@ class Newton:
             # Unconstrained bodies are thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
             problem.contact.set_tolerance_and_tangent(0, np.inf, unconstrained=problem.has_weakly_held_bodies)
-        self.start_value.step(report, closely=problem.is_linear)
+        with self._options.blamed():
+            self.start_value.step(report, closely=problem.is_linear)
+        if not self._options_are_checked:  # the parts of the linear solver are set up now, which the others are read by
+            self._options.check_used(problem.comm, ("",))
+            self._options_are_checked = True
         if problem.is_linear:
             self._refine()
             return
