@@ -37,6 +37,7 @@ def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
         ("linear solver", _linear_solver(scene.solver, model)),
         ("memory", f"about {_memory_mb(scene.solver, model):.0f} MB over all ranks"),
     ]
+    lines += [("warning", text) for text in model.warnings]
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 

@@ -56,6 +56,13 @@ class Progress:
         self._attempt(lambda: self._print(line))
         log.info("%s", line)
 
+    def warn(self, text: str) -> None:
+        """Report a doubt about the results, one sentence."""
+        if self._rank != 0:
+            return
+        self._attempt(lambda: self._print(f"warning: {text}", advance=0))
+        log.warning("%s", text)
+
     def _start(self) -> None:
         console = _Console(highlight=False)
         shape = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -63,11 +70,11 @@ class Progress:
         self._bar.start()
         self._task = self._bar.add_task(self._title, total=self._total, completed=self._done)
 
-    def _print(self, line: str) -> None:
+    def _print(self, line: str, advance: int = 1) -> None:
         if self._bar is not None:
-            self._bar.console.print(line, markup=False)
+            self._bar.console.print(line, markup=False, soft_wrap=True)
             self._bar.console.file.flush()
-            self._bar.advance(self._task)
+            self._bar.advance(self._task, advance)
 
     def _attempt(self, write: Callable[[], object]) -> None:
         """Write, unless that fails: then nothing more is written."""

@@ -159,6 +159,8 @@ class _Session:
             for note in environment.notes():
                 log.warning("%s", note)
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
+            for text in self.model.warnings:
+                progress.warn(text)
             for step in todo:
                 if stop.requested():
                     failure = Interrupted(f"interrupted: {self._what_is_kept()}")

@@ -103,6 +103,14 @@ class Material:
         """Mean of the permittivities along the axes, pC/(V um), the same for all axes; 0 without potential."""
         return 0.0 if self.permittivity is None else float(np.diag(self.permittivity).mean())
 
+    @property
+    def poisson_ratio(self) -> float:
+        """That of the isotropic material with the same resistance to change of volume and, in the mean, of shape."""
+        normal, shear = self.stiffness[:3, :3], np.diag(self.stiffness)[3:]
+        bulk = normal.sum() / 9.0
+        shape = (3.0 * (np.trace(normal) + 2.0 * shear.sum()) - normal.sum()) / 30.0
+        return float((3.0 * bulk - 2.0 * shape) / (2.0 * (3.0 * bulk + shape)))
+
     def check(self) -> None:
         """Raise ValueError, with the reason, if the material is not stable.
 

@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.sizes import MeshSizes
 from piezomat.meshes.gmsh_io import extract
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.extract import Arrays, not_facets
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile, blaming, load
 from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.meshes.joints import Joint
 from piezomat.meshes.parallel import only_on_root
 from piezomat.meshes.shapes.base import Shape
 
@@ -34,7 +33,7 @@ class BodyMesh:
 
     cell_body (cells,): number of the body; cell_part (cells,): number of the connected part, cells that share nodes;
     part_bodies: bodies of each part; facets: local indices of each group, exterior or interior. An interior facet
-    between two ranks is on both.
+    between two ranks is on both. joints: the doubtful ones, on all ranks.
     """
 
     mesh: Any
@@ -44,6 +43,7 @@ class BodyMesh:
     part_bodies: list[list[int]]
     facets: dict[str, NDArray[np.int32]]
     order: int
+    joints: tuple[Joint, ...]
 
 
 def create(
@@ -105,8 +105,9 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
     wanted = comm.gather(fenicsx.original_cells(mesh))
     data, part_bodies = None, None
     if comm.rank == 0:
-        part, part_bodies = connected_parts(mine.cells, mine.cell_body)
-        data = [np.stack([mine.cell_body[cells], part[cells]]) for cells in wanted]
+        parts = range(mine.cell_part.max() + 1)
+        part_bodies = [sorted(set(mine.cell_body[mine.cell_part == part].tolist())) for part in parts]
+        data = [np.stack([mine.cell_body[cells], mine.cell_part[cells]]) for cells in wanted]
     cell_body, cell_part = comm.scatter(data)
 
     indices, values = fenicsx.entities_from_nodes(mesh, dim - 1, mine.facets, mine.facet_values)
@@ -119,19 +120,4 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
         missing = np.isin(mine.facet_values, having).sum() - (of_group & owned).sum()
         if comm.allreduce(int(missing)) != 0:
             raise not_facets(name)
-    return BodyMesh(mesh, head.bodies, cell_body, cell_part, comm.bcast(part_bodies), facets, head.order)
-
-
-def connected_parts(cells: Integers, cell_body: NDArray[np.int32]) -> tuple[NDArray[np.int32], list[list[int]]]:
-    """Connected part (n,) of each cell, numbered in the order of first cells, and the bodies of each part."""
-    # One graph of cells and nodes, each cell linked to its nodes: its components are cells that share nodes.
-    count, nodes = cells.shape
-    cell, node = np.repeat(np.arange(count), nodes), count + cells.ravel()
-    size = int(node.max()) + 1
-    graph = coo_matrix((np.ones(len(cell), np.int8), (cell, node)), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
-    _, first, part = np.unique(label[:count], return_index=True, return_inverse=True)
-    number = np.empty(len(first), np.int32)
-    number[np.argsort(first)] = np.arange(len(first))
-    part = number[part]
-    return part, [sorted(set(cell_body[part == p].tolist())) for p in range(len(first))]
+    return BodyMesh(mesh, head.bodies, cell_body, cell_part, comm.bcast(part_bodies), facets, head.order, head.joints)

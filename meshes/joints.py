@@ -125,6 +125,18 @@ class CellFacets:
         return a[np.einsum("md,md->m", self.outward(a)[1], self.outward(b)[1]) > 0.0]
 
 
+def connected_parts(cells: Integers) -> Integers:
+    """Connected part (n,) of each cell with these nodes (n, k): cells that share nodes; in the order of first cells."""
+    # One graph of cells and nodes, each cell linked to its nodes.
+    count, nodes = cells.shape
+    cell, node = np.repeat(np.arange(count), nodes), count + cells.ravel()
+    label = _components(int(node.max()) + 1, cell, node)[:count]
+    _, first, part = np.unique(label, return_index=True, return_inverse=True)
+    number = np.empty(len(first), np.int32)
+    number[np.argsort(first)] = np.arange(len(first))
+    return number[part]
+
+
 def doubtful_joints(facets: CellFacets, cell_body: Integers, cell_part: Integers) -> list[Joint]:
     """Double nodes and hinges of a mesh; cell_body (n,), cell_part (n,): body and connected part of each cell."""
     return [*_double_nodes(facets, cell_body, cell_part), *_hinges(facets, cell_body)]
@@ -141,7 +153,9 @@ def _double_nodes(facets: CellFacets, cell_body: Integers, cell_part: Integers) 
     found = []
     for row in np.unique(np.column_stack([pair, bonded]), axis=0):
         rows = (pair == row[:2]).all(axis=1) & (bonded == row[2])
-        nodes = np.unique(facets.nodes[np.concatenate([i[rows], j[rows]])])
+        ours, theirs = facets.nodes[i[rows]], facets.nodes[j[rows]]
+        tip = ours[(ours[:, :, None] == theirs[:, None, :]).any(axis=2)]
+        nodes = np.setdiff1d(np.concatenate([ours, theirs]), tip)
         double = cKDTree(facets.x[nodes]).query_pairs(
             ON_EACH_OTHER * _size(facets, i[rows]).min(), output_type="ndarray"
         )

@@ -8,6 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.discretization.constraints import Constraints
+from piezomat.discretization.doubts import doubts
 from piezomat.discretization.loads import Loads
 from piezomat.discretization.prescription import Prescription
 from piezomat.discretization.rigid_bodies import parts_of, unconstrained
@@ -26,6 +27,7 @@ class Model:
     bodies: the mesh with its bodies, parts and facet groups
     mesh, comm, dim: the dolfinx mesh, its communicator and dimension
     materials: of each body, in global axes
+    warnings: doubts about the scene on its mesh, one sentence each
     electric: whether any material has a permittivity, and the model a potential
     kinematics: "small" or "finite"
     plane: "strain" or "stress", in 2D
@@ -43,7 +45,7 @@ class Model:
     """
 
     def __init__(self, scene: Scene, bodies: BodyMesh) -> None:
-        """Raises SceneError for a boundary that does not fit the mesh."""
+        """Raises SceneError for a boundary that does not fit the mesh, or a joint that cannot be meant."""
         self.scene = scene
         self.bodies = bodies
         self.mesh = bodies.mesh
@@ -52,6 +54,7 @@ class Model:
         self.kinematics = scene.model.kinematics
         self.plane = scene.model.plane
         self.materials: list[Material] = [scene.material(name) for name in bodies.bodies]
+        self.warnings = doubts(scene, bodies, self.materials)
         self.electric = any(m.electric for m in self.materials)
         self.stiffness = max(m.mean_stiffness for m in self.materials)
         self.potential_scale: float | None = None

@@ -12,7 +12,7 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.model import CELLS, Elements, Group, MeshError
-from piezomat.meshes.joints import CellFacets
+from piezomat.meshes.joints import CellFacets, Joint, connected_parts, doubtful_joints
 
 # A cell is degenerate when its least Jacobian is this small beside its greatest.
 DEGENERATE = 1e-6
@@ -30,8 +30,8 @@ class Arrays:
     """Mesh in one process.
 
     x (N, dimension), um; cells (n, nodes), facets (m, nodes): node numbers in DOLFINx order; cell_body (n,): numbers of
-    bodies; facet_values (m,): numbers of combinations, each a tuple of indices into facet_groups, because a facet may
-    belong to several groups.
+    bodies; cell_part (n,): numbers of connected parts; facet_values (m,): numbers of combinations, each a tuple of
+    indices into facet_groups, because a facet may belong to several groups; joints: the doubtful ones.
     """
 
     cell_type: str
@@ -39,11 +39,13 @@ class Arrays:
     x: Array
     cells: Integers
     cell_body: NDArray[np.int32]
+    cell_part: NDArray[np.int32]
     bodies: tuple[str, ...]
     facets: Integers
     facet_values: NDArray[np.int32]
     facet_groups: tuple[str, ...]
     combinations: tuple[tuple[int, ...], ...]
+    joints: tuple[Joint, ...]
 
     @property
     def dimension(self) -> int:
@@ -52,7 +54,7 @@ class Arrays:
 
     def head(self) -> Arrays:
         """Same mesh without cells, nodes and facets, for ranks that hold none."""
-        names = ("x", "cells", "cell_body", "facets", "facet_values")
+        names = ("x", "cells", "cell_body", "cell_part", "facets", "facet_values")
         return replace(self, **{name: getattr(self, name)[:0].copy() for name in names})
 
 
@@ -84,7 +86,9 @@ def mesh_arrays(order: int) -> Arrays:
     _check_once(all_cells, cell_body, bodies)
     name = CELLS[kind][0]
     _check_cells(dim, np.concatenate([found.tags for _, found in cells]), x[all_cells])
-    _check_folds(CellFacets(name, x[:, :dim], all_cells[:, : CORNERS[name]]))
+    cell_facets = CellFacets(name, x[:, :dim], all_cells[:, : CORNERS[name]])
+    _check_folds(cell_facets)
+    cell_part = connected_parts(all_cells)
 
     permutation = fenicsx.gmsh_permutation(name, cells[0][1].nodes.shape[1])
     facets, values, combinations = _facets(dim, (FACETS[name], order), facet_groups, used)
@@ -94,11 +98,13 @@ def mesh_arrays(order: int) -> Arrays:
         x=np.ascontiguousarray(x[:, :dim]),
         cells=all_cells[:, permutation],
         cell_body=cell_body,
+        cell_part=cell_part,
         bodies=tuple(body.name for body in bodies),
         facets=facets,
         facet_values=values,
         facet_groups=tuple(group.name for group in facet_groups),
         combinations=combinations,
+        joints=tuple(doubtful_joints(cell_facets, cell_body, cell_part)),
     )
 
 
