@@ -24,7 +24,7 @@ from piezomat.solver.outcome import NewtonReport
 MAX_PREDICTIONS = 20  # of one step
 PREDICTION_TOLERANCE = 0.01  # change of the predicted contact forces, share of the residual, at which a step is done
 # Number of steps in one solve that leave more than half of the residual, after which no more are predicted: points go
-# round corners, where contact answers otherwise than along the tangent, and a step predicted there comes to nothing.
+# round corners, where contact responds otherwise than along the tangent, and a step predicted there comes to nothing.
 MAX_POOR_STEPS, POOR_STEP = 2, 0.5
 # Of the forces: a change that calls for more is rounding (a body that falls onto another: more than 1e6).
 LARGEST_CHANGE = 1e15
