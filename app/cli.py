@@ -26,6 +26,7 @@ from piezomat import environment
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import ignore_broken_pipes
+from piezomat.results.folder import check_free, check_scene_stays
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
 from piezomat.scene.errors import LONGEST, mesh_error, named, shown
@@ -118,7 +119,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
         "resume": "go on from the last converged step of a run",
     }.items():
         command = commands.add_parser(name, help=purpose, description=purpose)
-        command.add_argument("directory", type=Path, metavar="DIR", help="directory of the run")
+        command.add_argument("directory", type=_directory, metavar="DIR", help="directory of the run")
     commands.add_parser("schema", help="print the JSON schema of a scene file")
     try:
         options = parser.parse_args(argv)
@@ -127,6 +128,13 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
     except SystemExit as stop:
         return int(stop.code or DONE)
     return options
+
+
+def _directory(text: str) -> Path:
+    """A directory of the command line; without a name it would be the working directory."""
+    if not text:
+        raise argparse.ArgumentTypeError('found ""; allowed: the directory of a run')
+    return Path(text)
 
 
 def _take_scene(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
@@ -141,17 +149,20 @@ def _take_scene(options: argparse.Namespace, parser: argparse.ArgumentParser) ->
 
 def _run(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    out = Path("results") / scene_file.find(options.scene).stem
+    path = scene_file.find(options.scene)
+    out = Path("results") / path.stem
     if options.out is not None:
         out = on_root(comm, lambda: _path(options.out, "a directory, new or of an older run"))
-    on_root(comm, lambda: _check_directory(out))
+    on_root(comm, lambda: _check_directory(out, path))
     return _simulate(scene, comm, out, resume=False)
 
 
 def _resume(options: argparse.Namespace, comm: MPI.Comm) -> int:
     out: Path = options.directory
     on_root(comm, lambda: _check_results(out, "scene.toml"))
-    scene = on_root(comm, lambda: _scene_of_run(out))
+    from piezomat.results.run_scene import of_run
+
+    scene = on_root(comm, lambda: of_run(out))
     return _simulate(scene, comm, out, resume=True)
 
 
@@ -164,13 +175,14 @@ def _simulate_with_cache(scene: Scene, comm: MPI.Comm, out: Path, *, resume: boo
     with importing():
         from piezomat import simulation
         from piezomat.results.checkpoint import CheckpointError
+        from piezomat.results.files import OutputError
         from piezomat.results.vtk import ResultsError
 
     try:
         simulation.run(scene, comm, out, resume=resume)
     except simulation.NotConverged as error:
         return _fail(comm, error, NOT_CONVERGED)
-    except (simulation.Interrupted, CheckpointError, ResultsError) as error:
+    except (simulation.Interrupted, OutputError, CheckpointError, ResultsError) as error:
         return _fail(comm, error, FAILED)
     return _done(comm, f"results in {out}")
 
@@ -215,15 +227,6 @@ def _scene(options: argparse.Namespace, comm: MPI.Comm) -> Scene:
     return on_root(comm, lambda: Scene.load(options.scene, options.set))
 
 
-def _scene_of_run(out: Path) -> Scene:
-    """The scene of a run, with the run's own copy of a mesh file, which may have changed since."""
-    path, mesh = out / "scene.toml", out / "checkpoint" / "mesh.msh"
-    geometry = scene_file.read(path).get("geometry", {})
-    from_file = "file" in geometry and "shape" not in geometry
-    copy = [f"geometry.file={json.dumps(str(mesh.absolute()))}"] if from_file and mesh.is_file() else []
-    return Scene.load(path, copy)
-
-
 @contextmanager
 def _compiled_forms(comm: MPI.Comm) -> Iterator[None]:
     """Context in which there is a folder for compiled forms: the user's, or a temporary one. Collective."""
@@ -249,8 +252,8 @@ def _path(text: str, allowed: str) -> Path:
     return Path(text)
 
 
-def _check_directory(out: Path) -> None:
-    """Raise SceneError unless results can be written to `out`, which need not exist."""
+def _check_directory(out: Path, scene: Path) -> None:
+    """Raise SceneError unless results of a scene file can be written to `out`, which need not exist."""
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not there.is_dir():
         raise SceneError("--out", f"{there}, which is a file", "a directory, new or of an older run")
@@ -260,6 +263,8 @@ def _check_directory(out: Path) -> None:
         raise SceneError(
             "--out", f"{there}, which cannot be written to ({error.strerror})", "a writable directory"
         ) from None
+    check_scene_stays(out, scene)
+    check_free(out)
 
 
 def _mesh_name(text: str) -> Path:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import sys
-import tempfile
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -13,7 +12,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from piezomat import environment
+from piezomat import __version__, environment
 from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.untouched_bodies import untouched_bodies
@@ -23,14 +22,18 @@ from piezomat.meshes.body_mesh import BodyMesh, Partition, create
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
+from piezomat.meshes.shapes.mats import Fibers
 from piezomat.progress import Progress
 from piezomat.results import restart
-from piezomat.results.atomic import replacing
+from piezomat.results.atomic import temporary_name
+from piezomat.results.checkpoint import Checkpoint, CheckpointError
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.fields import FieldOutput, contact_points
-from piezomat.results.files import Results
+from piezomat.results.files import OutputError, Results
+from piezomat.results.folder import CHECKPOINT, MESH, RunFolder
 from piezomat.results.quantities import columns, pair_columns, pair_rows, row
 from piezomat.results.ranks import described, load_per_rank
+from piezomat.results.run_scene import text_of
 from piezomat.scene import Scene, SceneError
 from piezomat.scene.checks import OVERLAP
 from piezomat.scene.errors import mesh_error, named
@@ -80,12 +83,17 @@ def run(
     """History and last state of a scene; with `out`, its results are written there. Collective.
 
     resume: continue from the checkpoint in `out`, on any number of ranks. partition: which rank gets which cell (for
-    tests). SceneError: the scene is wrong; raised before any work. NotConverged, Interrupted: the steps that converged
-    are kept in `out`.
+    tests). SceneError: the scene is wrong, `out` is not free for the run or another run is at work there, or `resume`
+    finds another scene; raised before any work. CheckpointError: there is no sound checkpoint. NotConverged,
+    Interrupted, OutputError: the steps that converged are kept in `out`.
     """
     timer = Timer()
-    with tempfile.TemporaryDirectory() as scratch, stop_on_signal(comm) as stop:
-        saved = Path(comm.bcast(scratch)) / "mesh.msh"
+    read = [file] if (file := getattr(scene.geometry, "file", None)) is not None else []
+    owned = RunFolder(comm, out, resume=resume, read=read) if out is not None else None
+    with owned or nullcontext(), stop_on_signal(comm) as stop:
+        stored = restart.find(comm, out, scene) if resume else None
+        # Until the folder is the run's, the mesh has a temporary name there.
+        saved = temporary_name(out / MESH) if owned is not None and not resume else None
         with timer("mesh"):
             bodies = _mesh(scene, comm, out, resume, saved, partition)
         with timer("setup"):
@@ -100,8 +108,13 @@ def run(
             _check_overlap(problem)
         session = _Session(scene, comm, out, timer, model, problem, stepper, balance)
         try:
-            session.open(resume, saved)
+            if stored is not None:
+                session.resume(stored, owned)
+            else:
+                session.start(saved, owned)
             session.take_steps(stop)
+        except OutputError as error:
+            raise session.failed(error) from error
         finally:
             session.close()
             newton.close()
@@ -131,21 +144,46 @@ class _Session:
         self._touched: set[int] = set()
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
+        self._scene_text = text_of(self.scene)
+        self._mesh_digest = ""
         self._fields: FieldOutput | None = None
 
-    def open(self, resume: bool, saved: Path) -> None:
-        """Start the result files, or continue those of an interrupted run."""
+    def start(self, saved: Path | None, folder: RunFolder | None) -> None:
+        """Start the result files; `saved` is the mesh in the folder under a temporary name."""
         names = columns(self.problem)
-        if self.results is None:
+        if self.results is None or folder is None:
             return
         with self.timer("output"):
-            if resume:
-                self._resume(names)
-                return
-            self.results.start(self.scene.to_toml(), names)
-            folder = self.out / "checkpoint"
-            on_root(self.comm, lambda: _copy_mesh(saved, folder / "mesh.msh"))
+            folder.keep()
+            geometry = self.scene.geometry
+            self.results.start(self._scene_text, names, saved, geometry.file if isinstance(geometry, Fibers) else None)
+            self._warn_of_locks(folder)
+            self._mesh_digest = on_root(self.comm, lambda: restart.sha256(self.out / CHECKPOINT / MESH))
             self._save_checkpoint()
+
+    def resume(self, stored: Checkpoint, folder: RunFolder) -> None:
+        """Take up an interrupted run where its checkpoint ends, and its result files."""
+        names = columns(self.problem)
+        with self.timer("output"):
+            restart.restore(stored, self.problem, self.stepper, self.balance)
+            self.last_step, self.history = stored.step, [dict(row) for row in stored.scalars.history]
+            self._mesh_digest = stored.scalars.mesh or on_root(
+                self.comm, lambda: restart.sha256(self.out / CHECKPOINT / MESH)
+            )
+            self._keep_state()
+            self._restore_last_step()
+            self.results.resume(names, self.last_step, self.history)
+            folder.keep()
+        self._warn_of_locks(folder)
+        if stored.damage:
+            log.warning("%s; the checkpoint before it is used", stored.damage)
+            if self.comm.rank == 0:
+                print(f"piezomat: {stored.damage}; the checkpoint before it is used", file=sys.stderr)
+        if stored.scalars.scene is None:
+            log.warning("the checkpoint does not hold its scene: whether it has changed since is not known")
+        by = stored.scalars.version
+        version = f", from a checkpoint of piezomat {by}" if by != __version__ else ""
+        log.info("resumed after step %d on %s%s", self.last_step, _ranks(self.comm.size), version)
 
     def take_steps(self, stop: StopRequest) -> None:
         """Take the load steps that are left and write the results of each. Raises NotConverged or Interrupted."""
@@ -190,6 +228,15 @@ class _Session:
         """Close the log."""
         if self.results is not None:
             self.results.close()
+
+    def failed(self, error: Exception) -> OutputError:
+        """What to raise where results cannot be written."""
+        log.error("%s", error)
+        return OutputError(f"{error}; {self._what_is_kept()}")
+
+    def _warn_of_locks(self, folder: RunFolder) -> None:
+        if not folder.locked:
+            log.warning("%s lies in a file system without locks: nothing keeps a second run out", self.out)
 
     def _record(self, step: Step, report: StepReport, seconds: float) -> None:
         self.history.append(row(self.problem, self.balance, step, report, seconds))
@@ -267,15 +314,19 @@ class _Session:
             self.results.contact(self.last_step, points, float(self.last_step))
 
     def _save_checkpoint(self) -> None:
-        folder = self.out / "checkpoint"
-        restart.save(folder, self.last_step, self.problem, self.stepper, self.balance, self.history)
-
-    def _resume(self, names: list[str]) -> None:
-        folder = self.out / "checkpoint"
-        self.last_step, self.history = restart.load(folder, self.problem, self.stepper, self.balance)
-        self._keep_state()
-        self._restore_last_step()
-        self.results.resume(names, self.last_step, self.history)
+        try:
+            restart.save(
+                self.out / CHECKPOINT,
+                self.last_step,
+                self.problem,
+                self.stepper,
+                self.balance,
+                self.history,
+                self._scene_text,
+                self._mesh_digest,
+            )
+        except CheckpointError as error:
+            raise OutputError(str(error)) from error
 
     def _what_is_kept(self) -> str:
         where = f" in {self.out}" if self.out is not None else ""
@@ -288,10 +339,9 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
     """What would be modelled and solved, and why; nothing is solved. Collective."""
     from piezomat.plan_text import plan_text
 
-    with tempfile.TemporaryDirectory() as scratch:
-        bodies = _mesh(scene, comm, None, False, Path(comm.bcast(scratch)) / "mesh.msh", None)
-        model = Model(scene, bodies)
-        return plan_text(scene, model, interfaces_of(model))
+    bodies = _mesh(scene, comm, None, False, None, None)
+    model = Model(scene, bodies)
+    return plan_text(scene, model, interfaces_of(model))
 
 
 def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
@@ -304,20 +354,19 @@ def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
 
 
 def _mesh(
-    scene: Scene, comm: MPI.Comm, out: Path | None, resume: bool, saved: Path, partition: Partition | None
+    scene: Scene, comm: MPI.Comm, out: Path | None, resume: bool, save: Path | None, partition: Partition | None
 ) -> BodyMesh:
-    geometry = MeshFile(file=out / "checkpoint" / "mesh.msh") if resume else scene.geometry
-    save = saved if out is not None and not resume else None
+    geometry = MeshFile(file=out / CHECKPOINT / MESH) if resume else scene.geometry
     try:
         return create(comm, geometry, scene.sizes, save=save, partition=partition)
     except MeshError as error:
+        if error.key == "out":
+            raise OutputError(f"cannot write results in {out}: {error}") from None
         raise mesh_error(error) from None
 
 
-def _copy_mesh(saved: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(target) as part:
-        shutil.copyfile(saved, part)
+def _ranks(number: int) -> str:
+    return "1 rank" if number == 1 else f"{number} ranks"
 
 
 def _check_overlap(problem: Problem) -> None:

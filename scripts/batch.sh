@@ -16,7 +16,8 @@
 #
 # The same command continues a job that ended before its run (time limit, failure of a node): if RESULTS contains an
 # unfinished run, it is resumed from its last converged step, on the present number of ranks, with the copy of the scene
-# in RESULTS. A finished run is not repeated: give another RESULTS for another run.
+# in RESULTS. A run that ended before its first checkpoint starts again. A finished run is not repeated: give another
+# RESULTS for another run.
 #
 # PYTHON names the interpreter (default: the project's .venv), LAUNCHER what starts the ranks (default: mpirun).
 
@@ -51,11 +52,13 @@ if [[ $EUID == 0 ]]; then
     export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 fi
 
+shopt -s nullglob
+checkpoints=("$results"/checkpoint/step_*.npz)
 command=(run "$scene" --out "$results" "$@")
 if [[ -f $results/summary.json ]] && grep -Eq '"converged": *true' "$results/summary.json"; then
     printf '%s holds a run that is done\n' "$results"
     exit 0
-elif [[ -d $results/checkpoint ]]; then
+elif ((${#checkpoints[@]} > 0)); then
     command=(resume "$results")
 fi
 printf 'piezomat %s on %s ranks\n' "${command[*]}" "$ranks"

@@ -69,8 +69,8 @@ def view(directory: Path) -> list[Path]:
     """
     path = Path(directory) / "picture.png"
     figure = draw(read_run(Path(directory)))
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=DPI)
+    with replacing(path) as file:
+        figure.savefig(file, dpi=DPI, format="png")
     return [path]
 
 

@@ -3,42 +3,50 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
+
+# A name that exists already, a link among them, is an error and not followed.
+_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Temporary path beside `path`; what is written there takes the name `path` at the end, in one act.
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A new file that takes the name `path` at the end, in one act.
 
     A process killed at any moment leaves `path` as it was or complete and on disk (fsync), never in between.
-    It may leave the temporary file, which the next writer overwrites; an exception removes it. OSError: it
-    cannot be written, or nothing was (VTK does not raise).
+    It may leave the new file under its temporary name (`piezomat.results.folder` removes it); an exception removes it.
+    OSError: it cannot be written. A writer of another library must write into this file, or to memory: VTK and gmsh
+    report nothing where the disk is full.
     """
     temporary = temporary_name(path)
     try:
-        yield temporary
-        _to_disk(temporary)
+        with os.fdopen(os.open(temporary, _NEW, 0o666), "w+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    _to_disk(path.parent)
+    to_disk(path.parent)
 
 
 def temporary_name(path: Path) -> Path:
-    """Hidden name beside `path` with the same suffix (writers choose the format by it)."""
-    return path.with_name(f".{path.stem}.part{path.suffix}")
+    """Hidden name beside `path`, with the same suffix, that nobody can foresee."""
+    return path.with_name(f".{path.stem}.{secrets.token_hex(8)}.part{path.suffix}")
 
 
 def write_text(path: Path, text: str) -> None:
     """Write `text` to `path` as a whole or not at all (`replacing`)."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    with replacing(path) as file:
+        file.write(text.encode())
 
 
-def _to_disk(path: Path) -> None:
+def to_disk(path: Path) -> None:
     """Wait until the file or folder is on disk."""
     handle = os.open(path, os.O_RDONLY)
     try:

@@ -1,19 +1,20 @@
 """State of a run on disk, so that it goes on after an interruption, on any number of ranks, bit for bit.
 
-The folder holds `step_0007.npz` of the last converged step, an ordinary NumPy archive: nodal values stand
-with the node numbers of the mesh file, those of contact points with keys that do not depend on the ranks. A
-process killed at any moment leaves the newest complete file in place.
+The folder holds `step_0007.npz` of the last converged step and the one before, in case the newest is damaged. Each is
+an ordinary NumPy archive: nodal values stand with the node numbers of the mesh file, those of contact points with keys
+that do not depend on the ranks. A process killed at any moment leaves the newest complete file in place.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -27,7 +28,8 @@ Keyed = tuple[NDArray[np.int64], NDArray[Any]]
 FORMAT = 1
 # Rows that travel and are written at once: they bound what rank 0 holds, whatever the size of the mesh.
 SLICE = 1 << 16
-_FILE = re.compile(r"\.?step_(?P<step>\d{4,})(?P<unfinished>\.part)?\.npz")
+GENERATIONS = 2
+_FILE = re.compile(r"step_(?P<step>\d{4,})\.npz")
 _CONTENT = "content.json"
 
 
@@ -43,11 +45,11 @@ def save(
     points: Mapping[str, Keyed],
     scalars: Mapping[str, Any],
 ) -> None:
-    """Write the state after `step` to `directory`/step_NNNN.npz, then remove the one before. Collective.
+    """Write the state after `step` to `directory`/step_NNNN.npz; of older ones the newest is kept. Collective.
 
     nodal[name] = (ids (n,), values (n, ...)) and points[name] = (keys (m, 4), values (m, ...)) hold what this
     rank owns, with the same names, trailing shapes and types on every rank; scalars, rank 0's, become JSON.
-    CheckpointError: it cannot be written (the one before is then still there).
+    CheckpointError: it cannot be written (those before are then still there).
     """
     directory = Path(directory)
     arrays = _arrays(comm, nodal, points)
@@ -59,15 +61,16 @@ def save(
             text = json.dumps(content, default=_plain)
             directory.mkdir(parents=True, exist_ok=True)
             path = directory / f"step_{step:04d}.npz"
-            with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+            with replacing(path) as whole, zipfile.ZipFile(whole, "w") as archive:
                 archive.writestr(_CONTENT, text)
                 for array, blocks in groupby(incoming, key=lambda item: item[0]):
                     with archive.open(f"{array.name}.npy", "w", force_zip64=True) as file:
                         np.lib.format.write_array_header_1_0(file, array.header())
                         for _, block in blocks:
                             file.write(np.ascontiguousarray(block).tobytes())
-            for file in directory.iterdir():
-                if _FILE.fullmatch(file.name) and file != path:
+            older = [(number, file) for number, file in _files(directory) if number < step][: GENERATIONS - 1]
+            for number, file in _files(directory):
+                if (number, file) not in older and file != path:
                     file.unlink()
         finally:
             # After a failure the other ranks still send: receive everything, so that none waits.
@@ -80,51 +83,55 @@ def save(
                 pass
         on_root(comm, write)
     except OSError as error:
-        raise CheckpointError(f"cannot write a checkpoint in {directory}: {error}") from error
+        raise CheckpointError(f"cannot write a checkpoint in {directory}: {error.strerror or error}") from error
 
 
-def load(comm: MPI.Comm, directory: Path) -> Checkpoint:
-    """The newest complete checkpoint of a folder, checked as a whole. Collective. CheckpointError: none."""
+def load(comm: MPI.Comm, directory: Path, check: Callable[[int, Any], Any] | None = None) -> Checkpoint:
+    """The newest sound checkpoint of a folder, checked as a whole. Collective. CheckpointError: none.
+
+    `check(step, scalars)` returns the scalars to use and raises ValueError where they are not those of such a step.
+    """
     directory = Path(directory)
 
-    def newest() -> tuple[Path, dict[str, Any], list[str]]:
-        files = []
-        for file in directory.iterdir() if directory.is_dir() else ():
-            match = _FILE.fullmatch(file.name)
-            if match and not match["unfinished"]:
-                files.append((int(match["step"]), file))
+    def newest() -> tuple[Path, int, Any, dict[str, tuple[int, ...]], str]:
+        files = _files(directory)
         if not files:
             raise CheckpointError(f"there is no checkpoint in {directory}")
         damage = ""
-        for _, path in sorted(files, reverse=True):
+        for step, path in files:
             try:
-                return path, *_read_content(path)
+                scalars, arrays = _read_content(path, step)
+                return path, step, scalars if check is None else check(step, scalars), arrays, damage
             except Exception as error:  # a damaged archive can raise anything
-                damage = damage or f"{path} is damaged or not a checkpoint: {error}"
+                damage = damage or f"{path} is damaged or not a checkpoint: {' '.join(str(error).split())}"
         raise CheckpointError(damage)
 
     return Checkpoint(comm, *on_root(comm, newest))
 
 
 class Checkpoint:
-    """A checkpoint that has been found sound: `step`, `scalars`, and values by their keys.
+    """A checkpoint that has been found sound: values by their keys. Read it before the next `save` into its folder.
 
-    Use it before the next `save` into the same folder, which removes the file.
+    path, step (int), scalars: as saved, or what the check of `load` has made of them. damage: what is wrong with the
+    newest file where this is an older one, otherwise empty.
     """
 
-    def __init__(self, comm: MPI.Comm, path: Path, content: dict[str, Any], arrays: list[str]) -> None:
+    def __init__(
+        self, comm: MPI.Comm, path: Path, step: int, scalars: Any, arrays: dict[str, tuple[int, ...]], damage: str
+    ) -> None:
         self.comm = comm
         self.path = path
-        self.step: int = content["step"]
-        self.scalars: dict[str, Any] = content["scalars"]
-        self._arrays = frozenset(arrays)
+        self.step = step
+        self.scalars = scalars
+        self.damage = damage
+        self._arrays = arrays
 
-    def nodal(self, name: str, ids: NDArray[np.int64]) -> NDArray[Any]:
+    def nodal(self, name: str, ids: NDArray[np.int64], width: int | None = None) -> NDArray[Any]:
         """Values (n, ...) of the nodes `ids` (n,), which each rank chooses for itself. Collective.
 
-        CheckpointError: no such values, or a node of which there are none (another mesh).
+        CheckpointError: no such values, other than `width` at a node, or a node of which there are none (another mesh).
         """
-        values, found = self._values(f"nodal/{name}", np.asarray(ids, np.int64).reshape(-1, 1))
+        values, found = self._values(f"nodal/{name}", np.asarray(ids, np.int64).reshape(-1, 1), width)
         missing = self.comm.allreduce(int(np.count_nonzero(~found)))
         if missing:
             raise CheckpointError(
@@ -132,17 +139,24 @@ class Checkpoint:
             )
         return values
 
-    def points(self, name: str, keys: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    def points(
+        self, name: str, keys: NDArray[np.int64], width: int | None = None
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Values (m, ...) of the points `keys` (m, 4) of this rank, and whether each has one. Collective.
 
-        A point of which there is no value gets zeros. CheckpointError: no such values.
+        A point of which there is no value gets zeros. CheckpointError: no such values, other than `width` at a point.
         """
-        return self._values(f"points/{name}", np.asarray(keys, np.int64).reshape(-1, 4))
+        return self._values(f"points/{name}", np.asarray(keys, np.int64).reshape(-1, 4), width)
 
-    def _values(self, table: str, wanted: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    def _values(
+        self, table: str, wanted: NDArray[np.int64], width: int | None
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        kind, name = table.split("/", 1)
         if f"{table}/keys" not in self._arrays:
-            kind, name = table.split("/", 1)
             raise CheckpointError(f"{self.path} has no {kind} values '{name}'")
+        shape = self._arrays[f"{table}/values"]
+        if width is not None and shape[1:] != (width,):
+            raise CheckpointError(f"{self.path} has {kind} values '{name}' of shape {shape}, not (n, {width})")
         index = _Index(wanted)
         values: NDArray[Any] | None = None
         found = np.zeros(index.size, bool)
@@ -215,17 +229,57 @@ def _incoming(comm: MPI.Comm, arrays: list[tuple[_Array, NDArray[Any]]]) -> Iter
                     comm.Send([block.view(np.uint8), MPI.BYTE], dest=0)
 
 
-def _read_content(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Content and names of the arrays of a checkpoint; any exception if it is not whole."""
+def _files(directory: Path) -> list[tuple[int, Path]]:
+    """Step and path of the checkpoints in a folder, the newest first."""
+    found = []
+    for file in directory.iterdir() if directory.is_dir() else ():
+        match = _FILE.fullmatch(file.name)
+        if match:
+            found.append((int(match["step"]), file))
+    return sorted(found, reverse=True)
+
+
+def _read_content(path: Path, step: int) -> tuple[Any, dict[str, tuple[int, ...]]]:
+    """Scalars of a checkpoint, and the shapes of its arrays by name; any exception if it is not whole."""
     with zipfile.ZipFile(path) as archive:
         damaged = archive.testzip()
         if damaged is not None:
             raise ValueError(f"'{damaged}' in it is not what was written")
         content = json.loads(archive.read(_CONTENT))
+        if not isinstance(content, dict) or not {"format", "step", "scalars"} <= set(content):
+            raise ValueError(f"{_CONTENT} has no format, step and scalars")
         if content["format"] != FORMAT:
             raise ValueError(f"its format is {content['format']}, this piezomat reads {FORMAT}")
-        arrays = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
-        return {"step": int(content["step"]), "scalars": dict(content["scalars"])}, arrays
+        if content["step"] != step:
+            raise ValueError(f"it is of step {content['step']}")
+        shapes = {
+            name.removesuffix(".npy"): _shape(archive, name) for name in archive.namelist() if name.endswith(".npy")
+        }
+    for name, shape in shapes.items():
+        table, _, part = name.rpartition("/")
+        other = shapes.get(f"{table}/{'values' if part == 'keys' else 'keys'}")
+        if other is None or len(shape) == 0 or other[:1] != shape[:1]:
+            raise ValueError(f"'{name}' does not fit the keys or values beside it")
+        if part == "keys" and shape[1:] != ((4,) if table.startswith("points/") else ()):
+            raise ValueError(f"'{name}' has the shape {shape}")
+    return content["scalars"], shapes
+
+
+def _shape(archive: zipfile.ZipFile, name: str) -> tuple[int, ...]:
+    """Shape of an array; ValueError unless it has numbers (keys: integers), in C order, as many as its shape says."""
+    with archive.open(name) as file:
+        shape, fortran, dtype = _read_header(file)
+        expected = file.tell() + dtype.itemsize * math.prod(shape)
+    kinds = "i" if name.endswith("/keys.npy") else "biuf"
+    if fortran or dtype.kind not in kinds or archive.getinfo(name).file_size != expected:
+        raise ValueError(f"'{name}' is no array of {shape} numbers")
+    return shape
+
+
+def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("an array of another version of NumPy's format")
+    return np.lib.format.read_array_header_1_0(file)
 
 
 def _read_table(path: Path, table: str) -> Iterator[Keyed]:
@@ -235,10 +289,7 @@ def _read_table(path: Path, table: str) -> Iterator[Keyed]:
         archive.open(f"{table}/keys.npy") as key_file,
         archive.open(f"{table}/values.npy") as value_file,
     ):
-        headers = []
-        for file in (key_file, value_file):
-            np.lib.format.read_magic(file)
-            headers.append(np.lib.format.read_array_header_1_0(file))
+        headers = [_read_header(file) for file in (key_file, value_file)]
         rows = headers[0][0][0]
         for start in range(0, max(rows, 1), SLICE):
             size = min(SLICE, rows - start)

@@ -11,13 +11,16 @@ import io
 import json
 import logging
 import math
+import os
 import platform
 import re
+import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -25,7 +28,10 @@ from mpi4py import MPI
 from piezomat import __version__
 from piezomat.forms import fenicsx
 from piezomat.meshes.parallel import on_all, on_root
-from piezomat.results.atomic import replacing, temporary_name, write_text
+from piezomat.results.atomic import replacing, to_disk, write_text
+from piezomat.results.folder import CHECKPOINT, FIBERS, MESH, PIECES, remove_results, remove_unfinished
+from piezomat.results.log_file import LogFile
+from piezomat.results.pairs_table import pairs_until
 from piezomat.results.vtk import (
     PIECE,
     ContactPoints,
@@ -34,6 +40,7 @@ from piezomat.results.vtk import (
     ResultsError,
     read_index,
     write_index,
+    xml,
 )
 from piezomat.usage import peak_memory_mb
 
@@ -41,25 +48,19 @@ Value = float | int | str
 SUMMARY_KEYS = tuple(
     "title converged reason ranks dofs cells bodies steps timings peak_memory_mb shares versions".split()
 )
-_FILES = (
-    "scene.toml",
-    "history.csv",
-    "pairs.csv",
-    "summary.json",
-    "fields.pvd",
-    "contact.pvd",
-    "picture.png",
-    "log.txt",
-)
-_PIECES = {"fields": "vtu", "contact": "vtp"}
-_CHECKPOINT = re.compile(r"\.?(step_\d{4,}|mesh)(\.part)?\.(npz|msh)")
+T = TypeVar("T")
+log = logging.getLogger("piezomat")
+
+
+class OutputError(OSError):
+    """A file of the results cannot be written; the message says which and why. Raised on all ranks."""
 
 
 class Results:
-    """The files of one run in the folder `out`.
+    """The files of one run in the folder `out`, which the caller holds (`piezomat.results.folder`).
 
     Every method but `close` is collective over `comm`, and only rank 0 writes shared files. An error on one rank
-    (OSError: cannot write) is raised on all.
+    is raised on all. OutputError: a file cannot be written; those that were complete are as they were.
 
     rows: the rows of history.csv, the same on all ranks.
     """
@@ -69,6 +70,7 @@ class Results:
         self.comm = comm
         self.rows: list[dict[str, Value]] = []
         self._columns: list[str] = []
+        self._pairs: str | None = None
         self._log: logging.Handler | None = None
 
     def __enter__(self) -> Results:
@@ -77,29 +79,32 @@ class Results:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def start(self, scene_text: str, columns: Sequence[str]) -> None:
-        """Make the folder, remove an older run's files (nothing else), write scene.toml, open the log."""
+    def start(
+        self, scene_text: str, columns: Sequence[str], mesh: Path | None = None, table: Path | None = None
+    ) -> None:
+        """Make the folder, remove an older run's files (nothing else), write scene.toml, open the log.
+
+        mesh: the mesh, complete and in the folder under a temporary name; it is moved to the checkpoints. table: a
+        table of fibers, which is copied there.
+        """
         self._columns, self.rows = list(columns), []
 
         def begin() -> None:
             self.out.mkdir(parents=True, exist_ok=True)
-            for name in _FILES:
-                (self.out / name).unlink(missing_ok=True)
-                temporary_name(self.out / name).unlink(missing_ok=True)
-            for folder in _PIECES:
-                _remove(self.out / folder, lambda name: PIECE.fullmatch(name) is not None)
-            _remove(self.out / "checkpoint", lambda name: _CHECKPOINT.fullmatch(name) is not None)
+            remove_results(self.out, mesh)
             write_text(self.out / "scene.toml", scene_text)
             self._write_history([])
-            self._open_log("w")
+            self._open_log()
+            self._keep_inputs(mesh, table)
 
-        on_root(self.comm, begin)
+        self._on_root(begin)
 
     def resume(self, columns: Sequence[str], last_step: int, rows: Sequence[Mapping[str, Value]] | None = None) -> None:
         """Go on after `last_step`: what came before is kept, later rows and pieces are removed.
 
-        `rows` (a checkpoint's) take the place of those in history.csv, which then need not exist.
-        ResultsError: other columns than those given, or no row of `last_step`.
+        `rows` (a checkpoint's) take the place of those in history.csv, which then need not exist. A damaged index is
+        made anew from the pieces, and of a damaged pairs.csv the sound rows are kept.
+        ResultsError: other columns than those given, or no row of `last_step`; nothing has been removed then.
         """
         self._columns = list(columns)
 
@@ -114,17 +119,19 @@ class Results:
                 raise ResultsError(f"{path} has no row of step {last_step}, after which the run goes on")
             for row in kept:
                 self._check(row)
+            self._open_log()
+            remove_unfinished(self.out)
+            if (self.out / "pairs.csv").exists():
+                self._pairs = pairs_until(self.out / "pairs.csv", last_step)
+                write_text(self.out / "pairs.csv", self._pairs)
+            self._write_history(kept)
+            for folder in PIECES:
+                self._forget(folder, last_step)
             for name in ("summary.json", "picture.png"):
                 (self.out / name).unlink(missing_ok=True)
-            if (self.out / "pairs.csv").exists():
-                write_text(self.out / "pairs.csv", _steps_before(self.out / "pairs.csv", last_step + 1))
-            self._write_history(kept)
-            for folder in _PIECES:
-                self._forget(folder, last_step)
-            self._open_log("a")
             return kept
 
-        self.rows = on_root(self.comm, begin)
+        self.rows = self._on_root(begin)
 
     def row(self, values: Mapping[str, Value]) -> None:
         """Append rank 0's row to history.csv, on disk on return; ResultsError: keys not the columns."""
@@ -135,21 +142,22 @@ class Results:
             self._write_history([*self.rows, row])
             return row
 
-        self.rows.append(on_root(self.comm, append))
+        self.rows.append(self._on_root(append))
 
     def pairs(self, step: int, columns: Sequence[str], rows: Sequence[tuple[str, Sequence[float]]]) -> None:
         """Append the pairs of bodies in contact at the end of a step, (name, values), to pairs.csv."""
 
         def append() -> None:
-            path = self.out / "pairs.csv"
             text = io.StringIO()
             table = csv.writer(text, lineterminator="\n")
-            if not path.exists():
+            if not self._pairs:
                 table.writerow(["step", "pair", *columns])
             table.writerows([step, name, *(float(v) for v in values[: len(columns)])] for name, values in rows)
-            write_text(path, _steps_before(path, step) + text.getvalue())
+            whole = (self._pairs or "") + text.getvalue()
+            write_text(self.out / "pairs.csv", whole)
+            self._pairs = whole
 
-        on_root(self.comm, append)
+        self._on_root(append)
 
     def fields(self, step: int, stage_time: float, piece: FieldPiece) -> None:
         """Write each rank's fields of a step, and name them in fields.pvd at the time `stage_time`."""
@@ -181,23 +189,46 @@ class Results:
             text = json.dumps(ordered, indent=2, ensure_ascii=False, allow_nan=False)
             write_text(self.out / "summary.json", text + "\n")
 
-        on_root(self.comm, write)
+        self._on_root(write)
 
     def close(self) -> None:
         """Close the log file. Not collective."""
         if self._log is not None:
-            logging.getLogger("piezomat").removeHandler(self._log)
+            log.removeHandler(self._log)
             self._log.close()
             self._log = None
 
-    def _open_log(self, mode: str) -> None:
+    def _keep_inputs(self, mesh: Path | None, table: Path | None) -> None:
+        folder = self.out / CHECKPOINT
+        if mesh is not None:
+            folder.mkdir(exist_ok=True)
+            os.replace(mesh, folder / MESH)
+            to_disk(folder)
+        if table is not None:
+            with table.open("rb") as original, replacing(folder / FIBERS) as copy:
+                shutil.copyfileobj(original, copy)
+
+    def _open_log(self) -> None:
+        """Log to log.txt, behind what is there."""
         self.close()
-        self._log = logging.FileHandler(self.out / "log.txt", mode, encoding="utf-8")
+        self._log = LogFile(self.out / "log.txt")
         self._log.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        logger = logging.getLogger("piezomat")
-        logger.addHandler(self._log)
-        if logger.level == logging.NOTSET:
-            logger.setLevel(logging.INFO)
+        log.addHandler(self._log)
+        if log.level == logging.NOTSET:
+            log.setLevel(logging.INFO)
+
+    def _on_root(self, action: Callable[[], T]) -> T:
+        """`on_root` of an action that writes. Raises OutputError."""
+        with self._named_errors():
+            return on_root(self.comm, action)
+
+    @contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            file = f"{error.filename}: " if error.filename else ""
+            raise OutputError(f"cannot write results in {self.out}: {file}{error.strerror or error}") from error
 
     def _check(self, row: Mapping[str, Value]) -> None:
         wrong = sorted(set(row) ^ set(self._columns))
@@ -216,40 +247,53 @@ class Results:
         # a rank that has nothing writes nothing; where no rank has anything, rank 0 writes an empty piece
         sizes = self.comm.allgather(len(piece))
         writers = [rank for rank, size in enumerate(sizes) if size] or [0]
-        names = {rank: f"{folder}/step_{step:04d}_rank_{rank:04d}.{_PIECES[folder]}" for rank in writers}
-        on_root(self.comm, lambda: (self.out / folder).mkdir(exist_ok=True))
+        names = {rank: f"{folder}/step_{step:04d}_rank_{rank:04d}.{PIECES[folder]}" for rank in writers}
+        self._on_root(lambda: (self.out / folder).mkdir(exist_ok=True))
 
         def write() -> None:
             if self.comm.rank in names:
-                with replacing(self.out / names[self.comm.rank]) as temporary:
-                    piece.vtk().save(temporary, binary=True)
+                with replacing(self.out / names[self.comm.rank]) as file:
+                    file.write(xml(piece.vtk()))
 
-        on_all(self.comm, write)
+        with self._named_errors():
+            on_all(self.comm, write)
 
         def name() -> None:
             index = self.out / f"{folder}.pvd"
             entry = IndexEntry(step, float(time), tuple(Path(name) for name in names.values()))
             write_index(index, [e for e in read_index(index) if e.step != step] + [entry])
 
-        on_root(self.comm, name)
+        self._on_root(name)
 
     def _forget(self, folder: str, last_step: int) -> None:
-        """Remove the pieces of later steps and the unfinished ones, the index first."""
+        """Remove the pieces of later steps, the index first."""
         index = self.out / f"{folder}.pvd"
         if index.exists():
-            write_index(index, [entry for entry in read_index(index) if entry.step <= last_step])
+            try:
+                entries = read_index(index)
+            except ResultsError as error:
+                log.warning("%s; it is made anew from the pieces in %s", error, folder)
+                entries = _entries_of(self.out, folder)
+            write_index(index, [entry for entry in entries if entry.step <= last_step])
+        pieces = [(PIECE.fullmatch(file.name), file) for file in _pieces(self.out, folder)]
+        for match, file in pieces:
+            if int(match["step"]) > last_step:
+                file.unlink()
+        if pieces and not any((self.out / folder).iterdir()):
+            (self.out / folder).rmdir()
 
-        def unwanted(name: str) -> bool:
-            match = PIECE.fullmatch(name)
-            return match is not None and (match["unfinished"] is not None or int(match["step"]) > last_step)
 
-        _remove(self.out / folder, unwanted)
+def _pieces(out: Path, folder: str) -> list[Path]:
+    there = sorted((out / folder).iterdir()) if (out / folder).is_dir() else []
+    return [file for file in there if PIECE.fullmatch(file.name) and file.is_file()]
 
 
-def _steps_before(path: Path, step: int) -> str:
-    """The text of a table whose first column is the step, up to a step; nothing where there is no table."""
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
-    return "".join(line for line in lines if not line[0].isdigit() or int(line.split(",", 1)[0]) < step)
+def _entries_of(out: Path, folder: str) -> list[IndexEntry]:
+    """The index of the pieces that are there; the time of a step is its number."""
+    steps: dict[int, list[Path]] = {}
+    for file in _pieces(out, folder):
+        steps.setdefault(int(PIECE.fullmatch(file.name)["step"]), []).append(file.relative_to(out))
+    return [IndexEntry(step, float(step), tuple(files)) for step, files in steps.items()]
 
 
 def read_history(path: Path) -> list[dict[str, Value]]:
@@ -288,16 +332,6 @@ def versions() -> dict[str, str]:
             if version is not None:
                 found[name] = str(version)
     return found
-
-
-def _remove(folder: Path, wanted: Callable[[str], bool]) -> None:
-    """Remove the files of a folder whose names are wanted, and the folder if nothing is left in it."""
-    if folder.is_dir():
-        for file in folder.iterdir():
-            if file.is_file() and wanted(file.name):
-                file.unlink()
-        if not any(folder.iterdir()):
-            folder.rmdir()
 
 
 def _plain(value: Value) -> Value:

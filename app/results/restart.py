@@ -2,31 +2,67 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
 
+from piezomat import __version__
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
+from piezomat.meshes.parallel import on_root
 from piezomat.results import checkpoint
 from piezomat.results.energy_balance import EnergyBalance
+from piezomat.results.folder import CHECKPOINT, MESH
 from piezomat.results.quantities import augments
+from piezomat.results.run_scene import check_unchanged
+from piezomat.scene import Scene
+from piezomat.scene.errors import dotted
 from piezomat.solver.load_steps import Stepper
 
 Points = dict[str, tuple[NDArray[np.int64], Array]]
 
 
+class Scalars(BaseModel):
+    """What a checkpoint holds beside nodal values and contact points; of an older version without the last three.
+
+    scene: the scene of the run as TOML. mesh: SHA-256 of its mesh file. version: of piezomat that has written it.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    history: list[dict[str, int | float | str]]
+    size: float
+    motion: float
+    penetration: float
+    places: int
+    external_work: float
+    stabilization: float
+    scene: str | None = None
+    mesh: str | None = None
+    version: str = "0.1.0 or older"
+
+
 def save(
-    folder: Path, step: int, problem: Problem, stepper: Stepper, balance: EnergyBalance, history: list[dict[str, Any]]
+    folder: Path,
+    step: int,
+    problem: Problem,
+    stepper: Stepper,
+    balance: EnergyBalance,
+    history: list[dict[str, Any]],
+    scene: str,
+    mesh: str,
 ) -> None:
     """Write the end of a step, problem and contact being evaluated there, to a folder of checkpoints. Collective.
 
-    Raises what `checkpoint.save` does.
+    scene, mesh: see `Scalars`. Raises what `checkpoint.save` does.
     """
     model, contact = problem.model, problem.contact
     ids = _node_ids(model)
@@ -42,28 +78,69 @@ def save(
         "places": contact.points_per_facet() if contact is not None else 0,
         "external_work": balance.external_work,
         "stabilization": balance.stabilization_work,
+        "scene": scene,
+        "mesh": mesh,
+        "version": __version__,
     }
     points = _points(contact, augmented=augments(model)) if contact is not None else {}
     checkpoint.save(problem.comm, folder, step, nodal, points, scalars)
 
 
-def load(folder: Path, problem: Problem, stepper: Stepper, balance: EnergyBalance) -> tuple[int, list[dict[str, Any]]]:
-    """Restore the newest checkpoint of a folder; its step and the history so far. Collective.
+def find(comm: MPI.Comm, out: Path, scene: Scene) -> checkpoint.Checkpoint:
+    """The newest sound checkpoint of the run in `out`, of this scene and of the mesh beside it. Collective.
 
-    State and contact then hold what they held, except what an evaluation computes. Raises what `checkpoint.load` does.
+    Its scalars are a `Scalars`. CheckpointError: there is none. SceneError: the scene is another one
+    (`run_scene.check_unchanged`).
+    """
+    folder = out / CHECKPOINT
+    stored = checkpoint.load(comm, folder, _checked)
+
+    def check() -> None:
+        if stored.scalars.scene is not None:
+            check_unchanged(scene, stored.scalars.scene, stored.step, out)
+        if not (folder / MESH).is_file():
+            raise checkpoint.CheckpointError(f"there is no mesh in {folder}")
+        if stored.scalars.mesh not in (None, sha256(folder / MESH)):
+            raise checkpoint.CheckpointError(f"{folder / MESH} is not the mesh that the run began with")
+
+    on_root(comm, check)
+    return stored
+
+
+def restore(stored: checkpoint.Checkpoint, problem: Problem, stepper: Stepper, balance: EnergyBalance) -> None:
+    """Take state and contact from a checkpoint that was found; they then hold what they held. Collective.
+
+    What an evaluation computes is left out. CheckpointError: the checkpoint does not fit the problem.
     """
     model, contact = problem.model, problem.contact
-    stored = checkpoint.load(problem.comm, folder)
-    ids = _node_ids(model)
-    problem.state.array[:] = stored.nodal("state", ids).ravel()
-    balance.forces.array[:] = stored.nodal("forces", ids).ravel()
-    balance.external_work = stored.scalars["external_work"]
-    balance.stabilization_work = stored.scalars["stabilization"]
-    stepper.size = stored.scalars["size"]
-    stepper.last_motion = stored.scalars["motion"]
+    scalars: Scalars = stored.scalars
+    ids, width = _node_ids(model), model.unknowns.block
+    problem.state.array[:] = stored.nodal("state", ids, width).ravel()
+    balance.forces.array[:] = stored.nodal("forces", ids, width).ravel()
+    balance.external_work = scalars.external_work
+    balance.stabilization_work = scalars.stabilization
+    stepper.size = scalars.size
+    stepper.last_motion = scalars.motion
     if contact is not None:
         _restore_contact(contact, stored, augmented=augments(model))
-    return stored.step, list(stored.scalars["history"])
+
+
+def sha256(path: Path) -> str:
+    """Digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _checked(step: int, scalars: Any) -> Scalars:
+    """The scalars of a checkpoint of that step; ValueError where they are none."""
+    try:
+        found = Scalars.model_validate(scalars)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ValueError(f"{dotted(first['loc'])}: {first['msg']}") from None
+    if [row.get("step") for row in found.history] != list(range(1, step + 1)):
+        raise ValueError(f"its history is not that of {step} steps")
+    return found
 
 
 def _points(contact: Interfaces, *, augmented: bool) -> Points:
@@ -85,17 +162,19 @@ def _points(contact: Interfaces, *, augmented: bool) -> Points:
 
 
 def _restore_contact(contact: Interfaces, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
-    contact.last_penetration = stored.scalars["penetration"]
+    scalars: Scalars = stored.scalars
+    contact.last_penetration = scalars.penetration
     for p in contact.surface_pairs:
         if p.segments:
-            every = p.possible_keys(stored.scalars["places"])
-            p.restore_points(*stored.points("place", every), stored.scalars["places"])
+            every = p.possible_keys(scalars.places)
+            width = p.points.xi.shape[1]
+            p.restore_points(*stored.points("place", every, width), scalars.places)
     for p in contact.point_sets:
-        values, found = stored.points("opening", p.keys())
+        values, found = stored.points("opening", p.keys(), 1)
         p.history.touched[:] = found
         p.history.opening[:] = np.where(found, values[:, 0], 0.0)
         if augmented:
-            values, _ = stored.points("shift", p.corner_keys())
+            values, _ = stored.points("shift", p.corner_keys(), 2)
             p.multipliers.gap[:], p.multipliers.jump[:] = values.T.reshape(2, *p.multipliers.gap.shape)
 
 

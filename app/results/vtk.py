@@ -16,8 +16,8 @@ from piezomat.forms import fenicsx
 from piezomat.results.atomic import write_text
 
 STATUS = ("apart", "touching", "bonded", "broken")
-# the file of one rank and one step; a leading dot and ".part" while it is being written
-PIECE = re.compile(r"\.?step_(?P<step>\d{4,})_rank_(?P<rank>\d{4,})(?P<unfinished>\.part)?\.vt[up]")
+# the file of one rank and one step
+PIECE = re.compile(r"step_(?P<step>\d{4,})_rank_(?P<rank>\d{4,})\.vt[up]")
 
 # VTK's cell type of each (dolfinx cell, number of nodes)
 _VTK_CELLS = {
@@ -127,6 +127,26 @@ class IndexEntry:
     step: int
     time: float
     files: tuple[Path, ...]
+
+
+def xml(data: Any) -> bytes:
+    """The file of a pyvista UnstructuredGrid or PolyData. OSError: VTK could not write it.
+
+    VTK writes to memory, since it neither raises nor keeps the process alive where a disk is full.
+    """
+    import vtkmodules.vtkIOXML as vtk_io
+
+    grid = data.IsA("vtkUnstructuredGrid")
+    writer = vtk_io.vtkXMLUnstructuredGridWriter() if grid else vtk_io.vtkXMLPolyDataWriter()
+    writer.SetInputData(data)
+    writer.SetDataModeToBinary()
+    writer.SetCompressorTypeToZLib()  # its level is lower than that of a new writer: half the time
+    writer.SetWriteToOutputString(True)
+    written = writer.Write()
+    text = writer.GetOutputString()
+    if not written or not text.rstrip().endswith("</VTKFile>"):
+        raise OSError("VTK could not write its file")
+    return text.encode()
 
 
 def read_index(path: Path) -> list[IndexEntry]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import secrets
+import shutil
 import signal
 import threading
 from collections.abc import Iterator
@@ -165,15 +168,25 @@ def type_name(kind: int) -> str:
 
 
 def write(path: Path | str) -> None:
-    """Write the current model as binary MSH 4.1; the file appears complete or not at all. Raises OSError."""
+    """Write the current model as binary MSH 4.1; the file appears complete or not at all. Raises OSError.
+
+    gmsh reports nothing where the disk is full, so the end of its file is checked. Others cannot reach the file while
+    gmsh writes it: it lies in a folder of ours.
+    """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.msh")
-    temporary.touch()  # gmsh would not give the reason of a failure
+    private = path.with_name(f".mesh.{secrets.token_hex(8)}.part")
+    private.mkdir(0o700)  # gmsh would not give the reason of a failure
     try:
+        temporary = private / "mesh.msh"
         gmsh.write(str(temporary))
+        with temporary.open("rb+") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 64))
+            if not file.read().rstrip().endswith((b"$EndElements", b"$EndPeriodic")):
+                raise OSError(errno.ENOSPC, "only a part of the mesh could be written: the disk or a quota is full")
+            os.fsync(file.fileno())
         temporary.replace(path)
     except Exception as error:
         # gmsh raises Exception itself
         raise error if isinstance(error, OSError) else OSError(str(error)) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        shutil.rmtree(private, ignore_errors=True)

@@ -98,13 +98,14 @@ def test_number_of_ranks_may_change(comm: MPI.Comm, shared_tmp_path: Path) -> No
 
 
 @pytest.mark.mpi
-def test_only_the_newest_is_kept(comm: MPI.Comm, shared_tmp_path: Path) -> None:
+def test_the_two_newest_are_kept(comm: MPI.Comm, shared_tmp_path: Path) -> None:
     if comm.rank == 0:
         (shared_tmp_path / "mesh.msh").write_text("mesh")
-        (shared_tmp_path / ".step_0002.part.npz").write_text("left by a killed process")
+        (shared_tmp_path / "step_20000.npz").write_text("later than the step that a run goes on from")
     for step in (2, 3, 12345):
         save_part(comm, shared_tmp_path, step)
-    assert sorted(file.name for file in shared_tmp_path.iterdir()) == ["mesh.msh", "step_12345.npz"]
+    files = ["mesh.msh", "step_0003.npz", "step_12345.npz"]
+    assert sorted(file.name for file in shared_tmp_path.iterdir()) == files
     assert load(comm, shared_tmp_path).step == 12345
 
 

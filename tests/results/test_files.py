@@ -115,19 +115,11 @@ def test_history_survives_a_failed_write(
     def crash(*args: Any, **kwargs: Any) -> Any:
         raise OSError(28, "No space left on device")
 
-    def half(path: Path, text: str, **options: Any) -> None:
-        with path.open("w") as file:
-            file.write(text[: len(text) // 2])
-        crash()
-
     with Results(shared_tmp_path, comm) as results:
         results.start("", COLUMNS)
         results.row(row(1))
         with monkeypatch.context() as patch:
-            if moment == "write":
-                patch.setattr(Path, "write_text", half)
-            else:
-                patch.setattr(os, "replace", crash)
+            patch.setattr(os, "fsync" if moment == "write" else "replace", crash)
             with pytest.raises(OSError, match="No space left"):
                 results.row(row(2))
         assert same_rows(read_history(shared_tmp_path / "history.csv"), [row(1)])

@@ -230,6 +230,12 @@ def test_batch_job(tmp_path: Path) -> None:
     (tmp_path / "results" / "summary.json").unlink()
     again = call(*command, env={"RANKS": "1"})
     assert again.returncode == 0 and "resume" in again.stdout and "step " not in again.stdout
+    # Killed before its first checkpoint: started again.
+    (tmp_path / "results" / "summary.json").unlink()
+    for file in (tmp_path / "results" / "checkpoint").glob("step_*"):
+        file.unlink()
+    anew = call(*command, env={"RANKS": "1"})
+    assert anew.returncode == 0 and "piezomat run" in anew.stdout and anew.stdout.count("step ") == 8
     assert call("bash", script).returncode == 2
 
 
