@@ -159,7 +159,7 @@ def _run(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 def _resume(options: argparse.Namespace, comm: MPI.Comm) -> int:
     out: Path = options.directory
-    on_root(comm, lambda: _check_results(out, "scene.toml"))
+    on_root(comm, lambda: _check_results(out))
     from piezomat.results.run_scene import of_run
 
     scene = on_root(comm, lambda: of_run(out))
@@ -277,9 +277,9 @@ def _mesh_name(text: str) -> Path:
     return out
 
 
-def _check_results(directory: Path, name: str) -> None:
-    """Raise SceneError unless the directory holds that file of a run."""
-    if not scene_file.is_file(directory / name):
+def _check_results(directory: Path, name: str = "") -> None:
+    """Raise SceneError unless there is the directory and, where a name is given, that file of a run in it."""
+    if not (scene_file.is_file(directory / name) if name else scene_file.is_directory(directory)):
         found = f"no {name} in it" if scene_file.is_directory(directory) else "no such directory"
         name = str(directory)
         raise SceneError("", found, "the directory of a run").in_file(shown(name) if len(name) > LONGEST else directory)

@@ -172,7 +172,7 @@ class _Session:
             )
             self._keep_state()
             self._restore_last_step()
-            self.results.resume(names, self.last_step, self.history)
+            self.results.resume(names, self.last_step, self.history, self._scene_text)
             folder.keep()
         self._warn_of_locks(folder)
         if stored.damage:

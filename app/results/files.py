@@ -99,11 +99,17 @@ class Results:
 
         self._on_root(begin)
 
-    def resume(self, columns: Sequence[str], last_step: int, rows: Sequence[Mapping[str, Value]] | None = None) -> None:
+    def resume(
+        self,
+        columns: Sequence[str],
+        last_step: int,
+        rows: Sequence[Mapping[str, Value]] | None = None,
+        scene_text: str = "",
+    ) -> None:
         """Go on after `last_step`: what came before is kept, later rows and pieces are removed.
 
         `rows` (a checkpoint's) take the place of those in history.csv, which then need not exist. A damaged index is
-        made anew from the pieces, and of a damaged pairs.csv the sound rows are kept.
+        made anew from the pieces, and of a damaged pairs.csv the sound rows are kept. A missing scene.toml is written.
         ResultsError: other columns than those given, or no row of `last_step`; nothing has been removed then.
         """
         self._columns = list(columns)
@@ -121,6 +127,8 @@ class Results:
                 self._check(row)
             self._open_log()
             remove_unfinished(self.out)
+            if not (self.out / "scene.toml").exists():
+                write_text(self.out / "scene.toml", scene_text)
             if (self.out / "pairs.csv").exists():
                 self._pairs = pairs_until(self.out / "pairs.csv", last_step)
                 write_text(self.out / "pairs.csv", self._pairs)

@@ -11,6 +11,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+
+from piezomat.results import checkpoint
 from piezomat.results.folder import CHECKPOINT, FIBERS, MESH
 from piezomat.scene import Scene, SceneError
 from piezomat.scene import toml as scene_file
@@ -29,10 +32,13 @@ def text_of(scene: Scene) -> str:
 
 
 def of_run(out: Path) -> Scene:
-    """The scene in the folder of a run, as it may have been edited since. SceneError: it is wrong. Not collective."""
+    """The scene in the folder of a run, as it may have been edited since; without scene.toml that of the checkpoint.
+
+    SceneError: it is wrong, or there is none. Not collective.
+    """
     path = out / _SCENE
     try:
-        return _scene(scene_file.read(path), out)
+        return _scene(scene_file.read(path) if path.is_file() else tomllib.loads(_scene_of_checkpoint(out)), out)
     except SceneError as error:
         raise error.in_file(path) from None
 
@@ -69,6 +75,16 @@ def _scene(tables: dict[str, Any], out: Path) -> Scene:
         return Scene(**tables)
     scene = Scene(**(tables | {"geometry": geometry | {"file": str(copy.absolute())}}))
     return _reading(scene, Path(geometry["file"]))
+
+
+def _scene_of_checkpoint(out: Path) -> str:
+    try:
+        scalars = checkpoint.load(MPI.COMM_SELF, out / CHECKPOINT).scalars
+    except checkpoint.CheckpointError as error:
+        raise SceneError("", f"no {_SCENE}, and {error}", "the directory of a run").in_file(out) from None
+    if not isinstance(scalars, dict) or not isinstance(scalars.get("scene"), str):
+        raise SceneError("", f"no {_SCENE}", "the directory of a run").in_file(out)
+    return scalars["scene"]
 
 
 def _reading(scene: Scene, file: Path) -> Scene:
