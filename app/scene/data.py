@@ -135,6 +135,11 @@ def groups_of(geometry: Any) -> Groups:
             return Groups(geometry.dimension, geometry.bodies(), geometry.facet_groups())
         except MeshError as error:
             raise mesh_error(error) from None
+        except Exception as error:  # of NumPy and SciPy, for numbers that do not go together
+            words = " ".join(str(error).split())[:200]
+            raise SceneError(
+                "geometry", f"a shape that cannot be made: {words}", "dimensions that fit together"
+            ) from None
     if not geometry.file.is_file():
         raise SceneError("geometry.file", f"{shown(str(geometry.file))}: no such file", "a gmsh mesh (MSH 2.2 or 4.1)")
     try:

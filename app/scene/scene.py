@@ -21,6 +21,7 @@ from piezomat.scene import toml as scene_file
 from piezomat.scene.checks import check
 from piezomat.scene.data import SceneData, groups_of
 from piezomat.scene.errors import SceneError, named, unknown_name
+from piezomat.scene.estimate import check_size
 from piezomat.scene.validation import scene_error
 from piezomat.scene.values import check_values
 
@@ -56,6 +57,7 @@ class Scene(SceneData):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        check_size(self.geometry, self.mesh)
         self._groups = groups_of(self.geometry)
         check(self)
         return self

@@ -60,6 +60,9 @@ class MeshKeys(Keys):
     order: OneOrTwo = Field(1, description="order of displacement, potential and geometry")
     cells: Literal["simplex", "tensor"] = Field("simplex", description="tensor: quadrilaterals or bricks")
     size_factors: dict[str, Positive] = Field({}, description="body = factor on its sizes of elements")
+    max_cells: Count | None = Field(
+        None, description="most cells, as estimated from the sizes before meshing; absent: what the memory here holds"
+    )
 
     @model_validator(mode="after")
     def _refined(self) -> Self:
@@ -333,6 +336,9 @@ class Contact(Keys):
         return self
 
 
+MOST_STEPS = 100_000  # each is a row of the history, which a checkpoint holds whole
+
+
 class Load(Keys):
     """[load]: stages, the increments of each, and the factors that rows of the boundaries follow."""
 
@@ -341,6 +347,8 @@ class Load(Keys):
 
     @model_validator(mode="after")
     def _a_value_a_stage(self) -> Self:
+        if (total := sum(self.steps)) > MOST_STEPS:
+            raise SceneError("steps", f"{total:,} load steps", f"at most {MOST_STEPS:,} in all")
         for name, values in self.factors.items():
             if len(values) != len(self.steps):
                 raise SceneError(f"factors.{name}", values, f"{len(self.steps)} number(s), one a stage of load.steps")
