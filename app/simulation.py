@@ -145,6 +145,7 @@ class _Session:
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
         self._scene_text = text_of(self.scene)
+        self._saved_step = 0
         self._mesh_digest = ""
         self._fields: FieldOutput | None = None
 
@@ -166,7 +167,8 @@ class _Session:
         names = columns(self.problem)
         with self.timer("output"):
             restart.restore(stored, self.problem, self.stepper, self.balance)
-            self.last_step, self.history = stored.step, [dict(row) for row in stored.scalars.history]
+            self.last_step = self._saved_step = stored.step
+            self.history = [dict(row) for row in stored.scalars.history]
             self._mesh_digest = stored.scalars.mesh or on_root(
                 self.comm, lambda: restart.sha256(self.out / CHECKPOINT / MESH)
             )
@@ -201,13 +203,13 @@ class _Session:
                 progress.warn(text)
             for step in todo:
                 if stop.requested():
-                    failure = Interrupted(f"interrupted: {self._what_is_kept()}")
+                    failure = Interrupted(f"interrupted: {self._what_is_kept(self.last_step)}")
                     break
                 began = perf_counter()
                 try:
                     report = self.stepper.advance(step, lambda part: self.balance.add_part(part.snap_through_work))
                 except SolveError as error:
-                    failure = NotConverged(f"{error}; {self._what_is_kept()}")
+                    failure = NotConverged(f"{error}; {self._what_is_kept(self.last_step)}")
                     break
                 self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
@@ -232,7 +234,7 @@ class _Session:
     def failed(self, error: Exception) -> OutputError:
         """What to raise where results cannot be written."""
         log.error("%s", error)
-        return OutputError(f"{error}; {self._what_is_kept()}")
+        return OutputError(f"{error}; {self._what_is_kept(self._saved_step)}")
 
     def _warn_of_locks(self, folder: RunFolder) -> None:
         if not folder.locked:
@@ -327,12 +329,11 @@ class _Session:
             )
         except CheckpointError as error:
             raise OutputError(str(error)) from error
+        self._saved_step = self.last_step
 
-    def _what_is_kept(self) -> str:
+    def _what_is_kept(self, last: int) -> str:
         where = f" in {self.out}" if self.out is not None else ""
-        if self.last_step == 0:
-            return "no step had converged"
-        return f"steps 1 to {self.last_step} are kept{where}"
+        return f"steps 1 to {last} are kept{where}" if last > 0 else "no step had converged"
 
 
 def plan(scene: Scene, comm: MPI.Comm) -> str:

@@ -19,8 +19,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
     A process killed at any moment leaves `path` as it was or complete and on disk (fsync), never in between.
     It may leave the new file under its temporary name (`piezomat.results.folder` removes it); an exception removes it.
-    OSError: it cannot be written. A writer of another library must write into this file, or to memory: VTK and gmsh
-    report nothing where the disk is full.
+    OSError: it cannot be written; the error names `path`. A writer of another library must write into this file, or to
+    memory: VTK and gmsh report nothing where the disk is full.
     """
     temporary = temporary_name(path)
     try:
@@ -29,8 +29,10 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename in (None, str(temporary)):
+            error.filename = str(path)
         raise
     to_disk(path.parent)
 
