@@ -249,11 +249,6 @@ def sum_over_ranks(space: Any, values: NDArray[np.float64]) -> NDArray[np.float6
     return total.x.array[order]
 
 
-def petsc_vector(function: Any) -> Any:
-    """The PETSc vector that shares a function's values, ghosts included."""
-    return function.x.petsc_vec if NEW else function.vector
-
-
 def at_centers(expression: Any, mesh: Any) -> NDArray[np.float64]:
     """Values (cells, components) of a `center_expression` in this rank's cells."""
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)

@@ -31,11 +31,13 @@ Partition = Callable[[Array, NDArray[np.int32], int], NDArray[np.int32]]
 class BodyMesh:
     """Distributed mesh. Arrays over cells and facets are those of this rank.
 
+    comm: the communicator it was made on; that of `mesh` is a duplicate, which ends with the mesh.
     cell_body (cells,): number of the body; cell_part (cells,): number of the connected part, cells that share nodes;
     part_bodies: bodies of each part; facets: local indices of each group, exterior or interior. An interior facet
     between two ranks is on both. joints: the doubtful ones, on all ranks.
     """
 
+    comm: MPI.Comm
     mesh: Any
     bodies: tuple[str, ...]
     cell_body: NDArray[np.int32]
@@ -120,4 +122,5 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
         missing = np.isin(mine.facet_values, having).sum() - (of_group & owned).sum()
         if comm.allreduce(int(missing)) != 0:
             raise not_facets(name)
-    return BodyMesh(mesh, head.bodies, cell_body, cell_part, comm.bcast(part_bodies), facets, head.order, head.joints)
+    part_bodies = comm.bcast(part_bodies)
+    return BodyMesh(comm, mesh, head.bodies, cell_body, cell_part, part_bodies, facets, head.order, head.joints)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dolfinx
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.discretization.constraints import Constraints
@@ -49,7 +48,7 @@ class Model:
         self.scene = scene
         self.bodies = bodies
         self.mesh = bodies.mesh
-        self.comm: MPI.Comm = self.mesh.comm
+        self.comm = bodies.comm
         self.dim: int = self.mesh.geometry.dim
         self.kinematics = scene.model.kinematics
         self.plane = scene.model.plane
@@ -63,7 +62,7 @@ class Model:
             self.potential_scale = float(np.sqrt(self.stiffness / permittivity))
         self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric)
         self.trial_state = dolfinx.fem.Function(self.unknowns.space)
-        self._vector: PETSc.Vec = fenicsx.petsc_vector(self.trial_state)
+        self._layout = self.unknowns.empty_vector(self.comm)
         self.constitutive_field = constitutive_field(
             self.mesh,
             [m.constitutive_matrix(self.dim, self.plane) for m in self.materials],
@@ -84,7 +83,7 @@ class Model:
 
     def new_vector(self) -> PETSc.Vec:
         """A distributed vector of the unknowns with room for ghosts; zero."""
-        vector = self._vector.duplicate()
+        vector = self._layout.duplicate()
         vector.set(0.0)
         return vector
 
@@ -98,8 +97,8 @@ class Model:
 
     def set_trial_state(self, x: PETSc.Vec) -> None:
         """Evaluate forms at x from now on: copy it into the Function `trial_state`, ghosts included."""
-        x.copy(self._vector)
-        self._vector.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+        self.trial_state.x.array[: len(x.array_r)] = x.array_r
+        self.trial_state.x.scatter_forward()
 
     def _dielectric_nodes(self) -> Booleans:
         """Whether a body with permittivity touches each local node."""

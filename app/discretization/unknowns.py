@@ -47,6 +47,16 @@ class Unknowns:
         self.total: int = index_map.size_global * self.block
         self.coordinates = node_coordinates(self.space)
 
+    def empty_vector(self, comm: MPI.Comm) -> PETSc.Vec:
+        """A distributed vector with room for ghosts on a communicator of the mesh's ranks. Collective.
+
+        PETSc keeps what Python has released until its communicator is cleaned up. That of the mesh ends before the
+        vectors of a run do, whose memory would then stay: 4 MB of 26,000 unknowns.
+        """
+        index_map = self.space.dofmap.index_map
+        ghosts = index_map.ghosts.astype(PETSc.IntType)
+        return PETSc.Vec().createGhost(ghosts, (self.owned * self.block, self.total), self.block, comm)
+
     def by_node(self, vector: PETSc.Vec) -> Array:
         """View (owned, block) of this rank's values of a vector, for reading."""
         return vector.array_r.reshape(self.owned, self.block)

@@ -25,6 +25,7 @@ VISCOSITY = 1.0  # to begin with, over the steepest fall of the bonds' traction
 LEVELS, REDUCTION = 5, 0.25  # times that the viscosity is reduced before none is tried, and the factor each time
 WAIT = 3  # parts at the same viscosity after a lower one has failed
 ACCURACY, MAX_HALVINGS = 1e-3, 7  # of the work along a snap-through: relative, and divisions of its path
+ROUNDING = 2.0 * np.finfo(float).eps  # share of the largest forces that is not a force
 SNAPPED = 0.25  # share of a part's change of force times motion: energy set free beyond it means a snap-through
 
 
@@ -59,7 +60,8 @@ def snap_through_work(problem: Problem) -> Array | None:
     Along the straight line from the last converged state these are the work of reactions and loads, and minus that of
     the forces out of balance, viscosity left out; their difference is what is stored and dissipated. A step may snap
     without viscosity, where Newton's method finds the other side by itself: more energy is then set free than the
-    external work is uncertain by.
+    external work is uncertain by. Work that is rounding is none: bodies that are apart, all of whose energies are
+    rounding, were halved to the end in each step, which then took ten times as long as one in contact.
     """
     contact = problem.contact
     if contact is None or not contact.adhesive:
@@ -85,14 +87,16 @@ def snap_through_work(problem: Problem) -> Array | None:
     forces = unknowns.by_node(problem.residual_with_reactions) - forces
     gained = _energy(problem, end) - energy - _electric_work(problem, end, forces)
     found = _simpson(values)
-    uncertain = SNAPPED * abs(values[-1][0] - values[0][0])
+    largest = max(x.norm(PETSc.NormType.NORM_INFINITY) for x in (problem.converged_state, end))
+    rounding = ROUNDING * problem.largest_force * largest
+    uncertain = max(SNAPPED * abs(values[-1][0] - values[0][0]), rounding)
     snaps = is_viscous or found[0] - gained > uncertain
     for _ in range(MAX_HALVINGS if snaps else 0):
         count = 2 * (len(values) - 1)
         between = [power((2 * k + 1) / count) for k in range(count // 2)]
         values = [*itertools.chain(*zip(values, between, strict=False)), values[-1]]
         before, found = found, _simpson(values)
-        if np.abs(found - before).max() <= ACCURACY * np.abs(found).max():
+        if np.abs(found - before).max() <= max(ACCURACY * np.abs(found).max(), rounding):
             break
     contact.viscous_regularization = is_viscous
     problem.residual(end, end.duplicate())
