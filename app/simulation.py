@@ -15,6 +15,8 @@ from mpi4py import MPI
 from piezomat import __version__, environment
 from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
+from piezomat.contact.short_circuit import short_circuit
+from piezomat.contact.start_checks import check_start
 from piezomat.contact.untouched_bodies import untouched_bodies
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
@@ -34,8 +36,7 @@ from piezomat.results.folder import CHECKPOINT, MESH, RunFolder
 from piezomat.results.quantities import columns, pair_columns, pair_rows, row
 from piezomat.results.ranks import described, load_per_rank
 from piezomat.results.run_scene import text_of
-from piezomat.scene import Scene, SceneError
-from piezomat.scene.checks import OVERLAP
+from piezomat.scene import Scene
 from piezomat.scene.errors import mesh_error, named
 from piezomat.solver.linear import Direct, Multigrid
 from piezomat.solver.load_steps import Step, Stepper, StepReport, steps
@@ -105,7 +106,7 @@ def run(
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks, augment_tolerance)
         balance = EnergyBalance(problem)
         if not resume:
-            _check_overlap(problem)
+            check_start(model, contact, problem.state)
         session = _Session(scene, comm, out, timer, model, problem, stepper, balance)
         try:
             if stored is not None:
@@ -208,6 +209,7 @@ class _Session:
                 began = perf_counter()
                 try:
                     report = self.stepper.advance(step, lambda part: self.balance.add_part(part.snap_through_work))
+                    self._check_electrodes(step)
                 except SolveError as error:
                     failure = NotConverged(f"{error}; {self._what_is_kept(self.last_step)}")
                     break
@@ -239,6 +241,13 @@ class _Session:
     def _warn_of_locks(self, folder: RunFolder) -> None:
         if not folder.locked:
             log.warning("%s lies in a file system without locks: nothing keeps a second run out", self.out)
+
+    def _check_electrodes(self, step: Step) -> None:
+        """Raise SolveError if electrodes at different potentials have come into contact."""
+        contact = self.problem.contact
+        found = short_circuit(self.model, contact, step.after) if contact is not None else None
+        if found is not None:
+            raise SolveError(f"in step {step.number} {found}")
 
     def _record(self, step: Step, report: StepReport, seconds: float) -> None:
         self.history.append(row(self.problem, self.balance, step, report, seconds))
@@ -368,22 +377,6 @@ def _mesh(
 
 def _ranks(number: int) -> str:
     return "1 rank" if number == 1 else f"{number} ranks"
-
-
-def _check_overlap(problem: Problem) -> None:
-    """Raise SceneError where bodies overlap at the start by more than a tenth of their size."""
-    contact = problem.contact
-    if contact is None:
-        return
-    size = float(problem.model.parts.thickness.min())
-    problem.begin_step(size)
-    overlap = contact.overlap()
-    if overlap > OVERLAP * size:
-        raise SceneError(
-            "geometry",
-            f"bodies that overlap by {overlap:.3g} um at the start",
-            f"an overlap of at most a tenth of their size ({OVERLAP * size:.3g} um)",
-        )
 
 
 def _picture(out: Path) -> None:

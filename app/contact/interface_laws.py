@@ -26,12 +26,13 @@ def interface_law(
 ) -> InterfaceLaw:
     """The law without adhesion at points with these facet sizes (m,), stiffnesses (m,) and permittivities (m,).
 
-    voltage: largest difference of prescribed potentials, V. There is no electric contact without `permittivity`.
+    voltage: largest difference of prescribed potentials, V. There is no electric contact without `permittivity`,
+    nor with an electric penalty of zero.
     """
     penalty = np.full(len(size), keys.normal_penalty or 0.0)
     if keys.normal_penalty is None:
         penalty = keys.normal_penalty_factor * stiffness / size
-    if permittivity is None:
+    if permittivity is None or keys.electric_penalty == 0.0:
         return InterfaceLaw(penalty)
     electric = np.where(permittivity > 0.0, keys.electric_penalty or 0.0, 0.0)
     if keys.electric_penalty is None:

@@ -29,7 +29,7 @@ from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
 from piezomat.meshes.mesh_entities import cell_volumes, exterior_facets
 from piezomat.meshes.parallel import redistributed
-from piezomat.scene.errors import SceneError
+from piezomat.scene.errors import SceneError, named, shown
 from piezomat.scene.sections import SIDES, Plane
 from piezomat.scene.sections import Contact as ContactKeys
 
@@ -67,6 +67,8 @@ def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair],
         for name in pair:
             if name not in surfaces:
                 surfaces[name] = _surface(model, name, f"contact.pairs[{number}]")
+    _check_twice(model, surfaces)
+    for number, pair in enumerate(keys.pairs):
         directions = [pair, pair[::-1]][: keys.passes]
         for first, (slave, master) in zip((True, False), directions, strict=False):
             components = [
@@ -75,6 +77,25 @@ def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair],
             passes.append(_pass(model, number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first))
     names = tuple("-".join(pair) for pair in keys.pairs)
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)), planes)
+
+
+def _check_twice(model: Model, surfaces: dict[str, Surface]) -> None:
+    """Raise SceneError where two pairs have facets of both sides in common, or both sides of one pair. Collective."""
+    names = list(surfaces)
+    keys = [surface.key for surface in surfaces.values()]
+    count = np.array([[len(np.intersect1d(one, other)) for other in keys] for one in keys])
+    count = model.comm.allreduce(count)
+    pairs = [tuple(names.index(name) for name in pair) for pair in model.scene.contact.pairs]
+    for i, (slave, master) in enumerate(pairs):
+        key, found = f"contact.pairs[{i}]", " and ".join(shown(name) for name in model.scene.contact.pairs[i])
+        if count[slave, master]:
+            common = f"{found}, which have {count[slave, master]} facets in common"
+            raise SceneError(key, common, "two surfaces without common facets")
+        for j, (one, other) in enumerate(pairs[:i]):
+            for ours, theirs in ((count[slave, one], count[master, other]), (count[slave, other], count[master, one])):
+                if ours and theirs:
+                    twice = f"{found}, which have {ours} and {theirs} facets in common with contact.pairs[{j}]"
+                    raise SceneError(key, twice, "each two facets in one pair alone: in two they would meet twice")
 
 
 def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
@@ -105,7 +126,13 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
             given = surfaces[slave], surfaces[master], components[slave], components[master]
             passes.append(_pass(model, len(passes), *given, rule, True, thickness))
     if not passes and not model.scene.planes:
-        raise SceneError("contact.pairs", "no two bodies apart from each other", "bodies that meet, or no [contact]")
+        bonded = [
+            f"{named([bodies.bodies[i] for i in members])} share nodes, which bonds them"
+            for members in bodies.part_bodies
+            if len(members) > 1
+        ]
+        found = f"no two bodies apart from each other: {'; '.join(bonded)}"
+        raise SceneError("contact.pairs", found, "bodies that meet, or no [contact]")
     return passes, _pairs_of_bodies(model, planes)
 
 

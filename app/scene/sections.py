@@ -296,7 +296,9 @@ class Contact(Keys):
         default_factory=_factor("normal_penalty", 10.0),
         description="times stiffness / facet size; default 10 without normal_penalty",
     )
-    electric_penalty: Positive | None = Field(None, description="pC/(V um2)")
+    electric_penalty: Annotated[float, Field(ge=0)] | None = Field(
+        None, description="pC/(V um2); 0: surfaces in contact are insulated from each other"
+    )
     electric_penalty_factor: Positive | None = Field(
         default_factory=_factor("electric_penalty", 10.0),
         description="times permittivity / facet size; default 10 without electric_penalty",

@@ -12,7 +12,7 @@ from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
 from piezomat.meshes.body_mesh import create
-from piezomat.scene import Scene
+from piezomat.scene import Scene, SceneError
 from piezomat.simulation import Run, run
 
 TILT = 37.0  # degrees
@@ -95,3 +95,47 @@ def test_fibers_of_any_poling_are_one_surface_pair(material: str, rng: np.random
     # Nothing of the kind of the elastic fiber may meet another of it.
     assert len(pairs) == 3
     assert sum(p.law.electric_penalty is not None for p in pairs) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("pairs", "words"),
+    [
+        ([["lower_contact", "upper_contact"], ["lower", "upper"]], "4 and 6 facets in common with contact.pairs"),
+        ([["lower_contact", "upper_contact"], ["upper", "lower_top"]], "6 and 4 facets in common with contact.pairs"),
+        ([["lower", "lower_contact"]], "4 facets in common"),
+    ],
+)
+def test_two_facets_meet_in_one_pair_alone(comm: MPI.Comm, pairs: list[list[str]], words: str) -> None:
+    scene = Scene(
+        geometry={"shape": "stacked_blocks", "divisions": [[4, 2], [6, 3]]},
+        bodies={"lower": "elastic", "upper": "elastic"},
+        boundaries=[{"on": "bottom", "displacement": [0, 0]}],
+        contact={"pairs": pairs},
+    )
+    bodies = create(comm, scene.geometry, scene.sizes)
+    with pytest.raises(SceneError, match=words) as caught:
+        interfaces_of(Model(scene, bodies))
+    assert caught.value.key == f"contact.pairs[{len(pairs) - 1}]"
+
+
+def test_a_surface_may_meet_several_others() -> None:
+    scene = Scene(
+        geometry={"shape": "stacked_blocks", "height": [0.5] * 3, "divisions": [[2, 1]] * 3},
+        bodies={"*": "elastic"},
+        boundaries=[{"on": "bottom", "displacement": [0, 0]}],
+        contact={"pairs": [["block_1", "block_2"], ["block_3", "block_2"], ["block_1_top", "block_3_bottom"]]},
+    )
+    interfaces = interfaces_of(Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes)))
+    assert len(interfaces.surface_pairs) == 6
+
+
+def test_bodies_that_are_bonded_are_named() -> None:
+    scene = Scene(
+        geometry={"shape": "cantilever", "divisions": [4, 1]},
+        bodies={"layer_1": "elastic", "layer_2": "elastic"},
+        boundaries=[{"on": "root", "displacement": [0, 0]}],
+        contact={},
+    )
+    with pytest.raises(SceneError, match="apart from each other: layer_1, layer_2 share nodes, which bonds them"):
+        interfaces_of(Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes)))

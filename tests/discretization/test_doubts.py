@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import gmsh
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -13,6 +14,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material
 from piezomat.meshes.body_mesh import create
+from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.scene import Scene, SceneError
 from piezomat.simulation import plan, run
 from tests.meshes.test_joints import boxes
@@ -138,3 +140,78 @@ def test_the_ratio_of_a_material_in_any_axes(ratio: float) -> None:
 def test_built_in_materials_do_not_lock() -> None:
     assert all(0.2 < material.poisson_ratio < 0.45 for material in BUILT_IN.values())
     np.testing.assert_allclose(BUILT_IN["pvdf"].poisson_ratio, 0.3)
+
+
+def electrodes(*rows: dict[str, Any], lower: str = "elastic") -> Scene:
+    """A layer under one of pvdf, held below, with more boundaries."""
+    return Scene(
+        geometry={"shape": "cantilever", "layers": [0.5, 0.5], "divisions": [4, 1]},
+        bodies={"layer_1": lower, "layer_2": "pvdf"},
+        boundaries=[{"on": "root", "displacement": [0, 0]}, *rows],
+        load={"steps": [1], "factors": {"press": [1.0]}} if any("follows" in row for row in rows) else {},
+        output=QUIET,
+    )
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("key", ["potential", "charge_density"])
+def test_electrodes_need_a_permittivity(comm: MPI.Comm, key: str) -> None:
+    """Of the body that they are on: a bonded neighbour's at their edge is not enough."""
+    with pytest.raises(SceneError, match='on "bottom", where no body has a permittivity') as caught:
+        plan(electrodes({"on": "top", "potential": 0}, {"on": "bottom", key: 1.0}), comm)
+    assert caught.value.key == f"boundaries[2].{key}"
+    assert plan(electrodes({"on": "top", key: 1.0}), comm)
+    if key == "potential":
+        assert plan(electrodes({"on": "interface_1", key: 1.0}), comm)
+    assert plan(electrodes({"on": "bottom", key: 1.0}, lower="dielectric"), comm)
+    assert plan(electrodes({"on": "tip", key: 1.0}), comm)  # of both layers
+
+
+def overlapping(path: Path) -> None:
+    """A unit square with the groups bottom, sides (all of its outline but the top) and top."""
+    with gmsh_model.session():
+        surface = gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        curves = [tag for _, tag in gmsh.model.getBoundary([(2, surface)], oriented=False)]
+        gmsh.model.addPhysicalGroup(2, [surface], name="body")
+        for name, members in {
+            "bottom": curves[:1],
+            "sides": [curves[i] for i in (0, 1, 3)],
+            "top": curves[2:3],
+        }.items():
+            gmsh.model.addPhysicalGroup(1, members, name=name)
+        gmsh.model.mesh.generate(2)
+        gmsh.write(str(path))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("bottom", "sides", "wrong"),
+    [
+        ({"displacement": [0, 0]}, {"displacement": [0, 0.1]}, "displacement y"),
+        ({"potential": 0}, {"potential": 5}, "potential"),
+        ({"potential": 5}, {"potential": 5, "follows": "press"}, "potential"),
+        ({"potential": 0}, {"potential": 0, "follows": "press", "displacement": [0.1, 0]}, None),
+        ({"displacement": [0, "free"]}, {"displacement": ["free", 0.1]}, None),
+        ({"displacement": [0, 0]}, {"potential": 0}, None),
+    ],
+)
+def test_boundaries_do_not_contradict_each_other_on_a_facet(
+    comm: MPI.Comm, shared_tmp_path: Path, bottom: dict, sides: dict, wrong: str | None
+) -> None:
+    path = shared_tmp_path / "square.msh"
+    if comm.rank == 0:
+        overlapping(path)
+    comm.barrier()
+    scene = Scene(
+        geometry={"file": str(path)},
+        bodies={"body": "pvdf"},
+        boundaries=[{"on": "bottom", **bottom}, {"on": "sides", **sides}, {"on": "top", "displacement": [1, 1]}],
+        load={"steps": [1], "factors": {"press": [1.0]}} if "follows" in sides else {},
+    )
+    if wrong is None:
+        assert plan(scene, comm)
+        return
+    with pytest.raises(SceneError, match=f'another {wrong} on "sides" than boundaries.0. on "bottom"') as caught:
+        plan(scene, comm)
+    assert caught.value.key == f"boundaries[1].{wrong.split()[0]}"

@@ -1,0 +1,119 @@
+"""Short circuits: electrodes at different potentials that meet, where the charge is that of the penalty alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from petsc4py import PETSc
+
+from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.discretization.constraints import load_factor
+from piezomat.discretization.model import Model
+from piezomat.forms.arrays import Booleans, Integers
+from piezomat.scene.errors import SceneError, shown
+
+# Potentials that differ by less than this share of the largest voltage are equal.
+EQUAL = 1e-9
+
+Electrodes = tuple[int, int]  # numbers of boundaries; of planes those after all boundaries
+
+
+def check_short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) -> None:
+    """Raise SceneError if electrodes at different potentials meet in the undeformed bodies. Collective.
+
+    The contact must have been detected; it is evaluated at the potentials that these load factors prescribe.
+    """
+    if not _possible(model, contact):
+        return
+    state = model.new_vector()
+    constraints = model.constraints
+    potentials = ~constraints.fixed_displacements()
+    state.array[constraints.fixed[potentials]] = constraints.values(factors)[potentials]
+    contact.evaluate(state, tangent=False)
+    found = _first(model, contact)
+    state.destroy()
+    if found is None:
+        return
+    one, other = (_described(model, number, factors) for number in found)
+    boundaries, last = len(model.scene.boundaries), max(found)
+    key = f"boundaries[{last}]" if last < boundaries else f"planes[{last - boundaries}]"
+    raise SceneError(
+        f"{key}.potential",
+        f"{other} in contact with {one}, a short circuit",
+        "one potential where electrodes meet, or contact.electric_penalty = 0, with which no charge passes",
+    )
+
+
+def short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) -> str | None:
+    """Which electrodes at different potentials met at the last evaluation, in words; None for none. Collective."""
+    found = _first(model, contact) if _possible(model, contact) else None
+    if found is None:
+        return None
+    one, other = (_described(model, number, factors) for number in found)
+    return f"{one} and {other} have come into contact, a short circuit, whose charge nothing limits"
+
+
+def _possible(model: Model, contact: Interfaces) -> bool:
+    """Whether there are two electrodes, and a contact that passes charges."""
+    given = [row.potential for row in model.scene.boundaries] + [plane.potential for plane in model.scene.planes]
+    some = any(p.law.electric_penalty is not None for p in contact.point_sets)
+    return model.electric and some and sum(potential is not None for potential in given) > 1
+
+
+def _described(model: Model, number: int, factors: dict[str, float]) -> str:
+    """An electrode with its potential."""
+    boundaries = model.scene.boundaries
+    if number < len(boundaries):
+        row = boundaries[number]
+        return f"{shown(row.on)} at {load_factor(row, factors) * row.potential:g} V"
+    plane = model.scene.planes[number - len(boundaries)]
+    share = factors.get(plane.potential_follows, 0.0) if plane.potential_follows is not None else 1.0
+    return f"{shown(plane.name)} at {share * plane.potential:g} V"
+
+
+def _first(model: Model, contact: Interfaces) -> Electrodes | None:
+    """The electrodes of the pair with the least numbers between which a charge passes. Collective."""
+    vector = _electrodes(model)
+    electrode = contact.nodes.gather(vector)[:, 0].astype(int) - 1
+    vector.destroy()
+    # A potential jump between two prescribed potentials is at least this, V.
+    least = EQUAL * max(model.prescription.largest_voltage(), 1e-300)
+    found = sorted(set(_meeting(model, contact, electrode, least)))
+    every = [pair for some in model.comm.allgather(found[:1]) for pair in some]
+    return min(every, default=None)
+
+
+def _electrodes(model: Model) -> PETSc.Vec:
+    """Number of the boundary that prescribes the potential of a node, plus 1, in a vector like the state."""
+    vector = model.new_vector()
+    values = np.zeros((model.unknowns.owned, model.unknowns.block))
+    for number, condition in enumerate(model.constraints.conditions):
+        fixed = condition.fixed.get(model.dim)
+        if fixed is not None:
+            values[fixed // model.unknowns.block, 0] = number + 1
+    vector.array[:] = values.ravel()
+    return vector
+
+
+def _meeting(model: Model, contact: Interfaces, electrode: Integers, least: float) -> Iterator[Electrodes]:
+    """Numbers of electrodes, (lower, higher), of which facets meet with a jump of the potential and a charge."""
+    planes = len(model.scene.boundaries)
+    for p in contact.point_sets:
+        if p.jump is None or p.response is None:
+            continue
+        live = np.flatnonzero((np.abs(p.jump) > least) & (p.response.charge != 0.0))
+        ours = electrode[p.slave_nodes[p.points.facet[p.projected_points[live]]]]
+        if isinstance(p, RigidPlane):
+            theirs = np.full_like(ours, planes + model.scene.planes.index(p.plane))
+        else:
+            theirs = electrode[p.facets.master_nodes[p.master_facet[live]]]
+        metal = _all_given(ours) & _all_given(theirs)
+        for pair in np.unique(np.stack([ours[metal, 0], theirs[metal, 0]], axis=1), axis=0):
+            yield int(pair.min()), int(pair.max())
+
+
+def _all_given(electrode: Integers) -> Booleans:
+    """Whether all nodes (r, n) of a facet are on an electrode."""
+    return (electrode >= 0).all(axis=1)

@@ -1,0 +1,89 @@
+"""Electrodes that meet: one potential or an error, before the solve or when they close during the run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+
+from piezomat.forms.material_library import BUILT_IN
+from piezomat.scene import Scene, SceneError
+from piezomat.simulation import NotConverged, run
+
+
+def layers(lower: float, upper: float, *, gap: float = 0.0, depth: bool = False, **changes: Any) -> Scene:
+    """Two layers poled against each other, with electrodes on both faces: grounded outside, these voltages inside."""
+    divisions = [[2, 2], [3, 2]] if not depth else [[2, 2, 1], [3, 2, 1]]
+    shape = {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": divisions, "gap": gap}
+    free = ["free"] * (2 if depth else 1)
+    keys: dict[str, Any] = {
+        "geometry": shape | ({"depth": 1.0} if depth else {}),
+        "mesh": {"cells": "tensor"},
+        "materials": {"up": {"like": "pzt4"}, "down": {"like": "pzt4", "poling": [*[0] * len(free), -1]}},
+        "bodies": {"lower": "up", "upper": "down"},
+        "boundaries": [
+            {"on": "bottom", "displacement": [*free, 0], "potential": 0},
+            {"on": "left", "displacement": [0, *free]},
+            {"on": "right", "displacement": [0, *free]},
+            {"on": "top", "displacement": [*free, 0], "potential": 0},
+            {"on": "lower_contact", "potential": lower},
+            {"on": "upper_contact", "potential": upper},
+        ],
+        "contact": {},
+        "output": {"fields": "none", "picture": False},
+    }
+    if depth:
+        keys["boundaries"] += [{"on": side, "displacement": ["free", 0, "free"]} for side in ("front", "back")]
+    return Scene(**{**keys, **changes})
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("penalty", [{}, {"electric_penalty": 0}])
+def test_electrodes_at_one_potential_have_the_charge_of_the_closed_form(comm: MPI.Comm, penalty: dict) -> None:
+    row = run(layers(10.0, 10.0, contact=penalty), comm).history[-1]
+    # The field is against the poling: both layers contract, without stress along it, and part.
+    pzt4 = BUILT_IN["pzt4"]
+    free = pzt4.permittivity[2, 2] + pzt4.piezo[2, 2] ** 2 / pzt4.stiffness[2, 2]
+    for name in ("charge@lower_contact", "charge@upper_contact"):
+        assert row[name] == pytest.approx(free * 10.0 / 0.5, rel=1e-9)
+    assert row["charge@lower_contact"] == pytest.approx(0.1521, abs=5e-5)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("depth", [False, True])
+@pytest.mark.parametrize("method", ["point", "node", "segment"])
+def test_electrodes_at_different_potentials_may_not_touch(comm: MPI.Comm, depth: bool, method: str) -> None:
+    with pytest.raises(SceneError, match='"upper_contact" at 0 V in contact with "lower_contact" at 10 V') as caught:
+        run(layers(10.0, 0.0, depth=depth, contact={"method": method}), comm)
+    assert caught.value.key == "boundaries[5].potential"
+
+
+def test_insulated_electrodes_may_touch_and_no_charge_passes() -> None:
+    row = run(layers(10.0, 0.0, contact={"electric_penalty": 0}), MPI.COMM_SELF).history[-1]
+    assert row["charge@lower_contact"] == pytest.approx(-row["charge@bottom"], rel=1e-9)
+    assert abs(row["charge@upper_contact"] + row["charge@top"]) < 1e-9 * abs(row["charge@bottom"])
+
+
+@pytest.mark.mpi
+def test_electrodes_that_close_during_the_run_end_it(comm: MPI.Comm) -> None:
+    rows = [row.model_dump(exclude_none=True) for row in layers(10.0, 0.0).boundaries]
+    rows[3] = {"on": "top", "displacement": ["free", -0.15], "potential": 0, "follows": "press"}
+    closing = layers(10.0, 0.0, gap=0.1, boundaries=rows, load={"steps": [4], "factors": {"press": [1.0]}})
+    words = r'in step \d "lower_contact" at 10 V and "upper_contact" at 0 V have come into contact, a short circuit'
+    with pytest.raises(NotConverged, match=words) as caught:
+        run(closing, comm)
+    assert "steps 1 to" in str(caught.value)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("voltage", [0.0, 3.0])
+def test_a_plane_that_meets_an_electrode(comm: MPI.Comm, voltage: float) -> None:
+    planes = [{"name": "lid", "point": "top", "motion": [0, -0.01], "potential": voltage}]
+    scene = layers(10.0, 10.0, planes=planes)
+    if voltage:
+        with pytest.raises(SceneError, match='"lid" at 3 V in contact with "top" at 0 V') as caught:
+            run(scene, comm)
+        assert caught.value.key == "planes[0].potential"
+    else:
+        assert run(scene, comm).history
