@@ -26,7 +26,7 @@ from piezomat import environment
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import ignore_broken_pipes
-from piezomat.results.folder import check_free, check_scene_stays
+from piezomat.results.folder import check_free, check_scene_stays, is_of_a_run
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
 from piezomat.scene.errors import LONGEST, mesh_error, named, shown
@@ -197,15 +197,21 @@ def _plan(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    out = on_root(comm, lambda: _mesh_name(options.out))
+    out = on_root(comm, lambda: _mesh_name(options.out, scene))
     from piezomat.meshes.body_mesh import create
 
-    create(comm, scene.geometry, scene.sizes, save=out)
+    try:
+        create(comm, scene.geometry, scene.sizes, save=out)
+    except MeshError as error:
+        if error.key != "out":
+            raise
+        return _fail(comm, error, FAILED)
     return _done(comm, f"mesh in {out}")
 
 
 def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
     on_root(comm, lambda: _check_results(options.directory, "history.csv"))
+    on_root(comm, lambda: _check_picture(options.directory))
     from piezomat.pictures import picture as pictures
     from piezomat.results.vtk import ResultsError
 
@@ -267,13 +273,21 @@ def _check_directory(out: Path, scene: Path) -> None:
     check_free(out)
 
 
-def _mesh_name(text: str) -> Path:
-    """The name of a new mesh file. Raises SceneError for a text that can be none."""
+def _check_picture(directory: Path) -> None:
+    """Raise SceneError where a picture would be replaced that no run has drawn."""
+    if (directory / "picture.png").exists() and not is_of_a_run(directory):
+        raise SceneError("", "a picture.png that no run has drawn", "the directory of a run").in_file(directory)
+
+
+def _mesh_name(text: str, scene: Scene) -> Path:
+    """The name of a new mesh file. Raises SceneError for a text that can be none, and for a file the scene reads."""
     out = _path(text, "a name that ends in .msh")
     if out.suffix != ".msh":
         raise SceneError("--out", str(out), "a name that ends in .msh")
     if not out.absolute().parent.is_dir():
         raise SceneError("--out", f"{out}, in no directory", "a file in a directory that exists")
+    if out.exists() and (file := getattr(scene.geometry, "file", None)) is not None and out.samefile(file):
+        raise SceneError("--out", f"{out}, which the scene reads", "another file")
     return out
 
 

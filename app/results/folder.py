@@ -70,6 +70,17 @@ def remove_results(out: Path, but: Path | None = None) -> None:
             (out / folder).rmdir()
 
 
+def is_of_a_run(out: Path) -> bool:
+    """Whether a run has written into the folder: the mark is there, or a checkpoint or a summary (before the mark)."""
+    if (out / MARK).is_file() or any(_NAMES[CHECKPOINT].fullmatch(path.name) for path in _entries(out / CHECKPOINT)):
+        return True
+    try:
+        summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(summary, dict) and {"converged", "reason", "steps", "versions"} <= set(summary)
+
+
 def check_scene_stays(out: Path, scene: Path) -> None:
     """Raise SceneError where the scene file that is read lies in the folder that a run is to write into."""
     if out.resolve() in (scene.resolve().parent, scene.absolute().parent.resolve()):
@@ -86,7 +97,7 @@ def check_free(out: Path, read: Sequence[Path] = ()) -> None:
     for path in read:
         if path.resolve() in [file.resolve() for file in there]:
             raise SceneError("--out", f"{out}, which holds {path}, which the run reads", _ELSEWHERE)
-    if there and not _is_of_a_run(out):
+    if there and not is_of_a_run(out):
         names = named([path.relative_to(out).as_posix() for path in there])
         raise SceneError("--out", f"{out}, where no run has written {names}", _ELSEWHERE)
 
@@ -133,7 +144,7 @@ class RunFolder:
     def _open(self) -> None:
         """Lock the folder for this run alone, then share the lock with the run's other ranks."""
         try:
-            if self.resume and not _is_of_a_run(self.out):
+            if self.resume and not is_of_a_run(self.out):
                 found = "neither a checkpoint nor another sign of a run" if self.out.is_dir() else "no such directory"
                 raise SceneError("", found, "the directory of a run").in_file(self.out)
             if not self.resume:
@@ -201,13 +212,3 @@ class RunFolder:
 
 def _entries(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.is_dir() else []
-
-
-def _is_of_a_run(out: Path) -> bool:
-    if (out / MARK).is_file() or any(_NAMES[CHECKPOINT].fullmatch(path.name) for path in _entries(out / CHECKPOINT)):
-        return True
-    try:
-        summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(summary, dict) and {"converged", "reason", "steps", "versions"} <= set(summary)

@@ -122,6 +122,22 @@ def test_the_mesh_of_a_checkpoint_is_not_replaced_by_a_run_that_reads_it(scene: 
     assert mesh.is_file()
 
 
+def test_the_mesh_that_a_scene_reads_is_not_written(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["mesh", "scene.toml", "--out", "own.msh"]) == 0
+    Path("link.msh").symlink_to("own.msh")
+    before = content(scene.parent)
+    for out in ("own.msh", "link.msh"):
+        assert cli.main(["mesh", "scene.toml", "--out", out, "--set", 'geometry={ file = "own.msh" }']) == 2
+        assert f"--out: found {out}, which the scene reads; allowed: another file\n" in capsys.readouterr().err
+    assert content(scene.parent) == before
+
+
+def test_a_picture_of_the_user_s_stays(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(Path("out"), "history.csv", "picture.png")
+    assert cli.main(["view", "out"]) == 2
+    assert capsys.readouterr().err.startswith("out: found a picture.png that no run has drawn")
+
+
 # --- One run at a time -----------------------------------------------------------------------------
 
 
