@@ -106,7 +106,10 @@ def load(comm: MPI.Comm, directory: Path, check: Callable[[int, Any], Any] | Non
                 damage = damage or f"{path} is damaged or not a checkpoint: {' '.join(str(error).split())}"
         raise CheckpointError(damage)
 
-    return Checkpoint(comm, *on_root(comm, newest))
+    try:
+        return Checkpoint(comm, *on_root(comm, newest))
+    except OSError as error:
+        raise CheckpointError(f"cannot read {directory}: {error.strerror or error}") from error
 
 
 class Checkpoint:

@@ -116,6 +116,7 @@ class RunFolder:
         self.locked = True
         self._handle: int | None = None
         self._made: list[Path] = []
+        self._kept = False
 
     def __enter__(self) -> RunFolder:
         self.comm.barrier()  # a rank may still be leaving the run before
@@ -128,7 +129,7 @@ class RunFolder:
         return self
 
     def __exit__(self, kind: object, *error: object) -> None:
-        if kind is not None and self._made:
+        if kind is not None and self.comm.rank == 0 and not self._kept:
             remove_unfinished(self.out)
             for path in self._made:
                 try:
@@ -139,7 +140,7 @@ class RunFolder:
 
     def keep(self) -> None:
         """From now on the folder is this run's, whatever happens."""
-        self._made = []
+        self._kept = True
 
     def _open(self) -> None:
         """Lock the folder for this run alone, then share the lock with the run's other ranks."""

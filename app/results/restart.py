@@ -103,7 +103,10 @@ def find(comm: MPI.Comm, out: Path, scene: Scene) -> checkpoint.Checkpoint:
         if stored.scalars.mesh not in (None, sha256(folder / MESH)):
             raise checkpoint.CheckpointError(f"{folder / MESH} is not the mesh that the run began with")
 
-    on_root(comm, check)
+    try:
+        on_root(comm, check)
+    except OSError as error:
+        raise checkpoint.CheckpointError(f"cannot read {folder / MESH}: {error.strerror or error}") from error
     return stored
 
 

@@ -222,6 +222,8 @@ def test_a_run_that_does_not_begin_leaves_the_folder_as_it_was(comm: MPI.Comm, s
             put(shared_tmp_path, "notes.txt")
         comm.barrier()
         with pytest.raises(RuntimeError, match="no"), RunFolder(comm, out, resume=False):
+            if comm.rank == 0:
+                put(out, temporary_name(Path("mesh.msh")).name)
             raise RuntimeError("no")
         comm.barrier()
         assert os.listdir(shared_tmp_path) == ["notes.txt"]
