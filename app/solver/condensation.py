@@ -23,6 +23,7 @@ from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.ghost_scatter import GhostScatter
 from piezomat.solver.mumps_schur import SchurFactors
+from piezomat.solver.outcome import SINGULAR, SolveError
 from piezomat.usage import give_back_memory
 
 # Distance of the surfaces whose nodes are candidates at first, over the largest prescribed motion: half of it would do
@@ -104,6 +105,7 @@ class Condensation:
         give_back_memory()
         shifts, places, first = [np.zeros(0)], [np.zeros(0, np.int64)], 0
         self._factors = SchurFactors()
+        singular = False
         for part, matrix in zip(self._parts, matrices, strict=True):
             outer = self._unknowns(np.flatnonzero(np.isin(part, candidates)))
             # Unconstrained parts leave K singular: springs of the bulk's own stiffness are added at the candidates, and
@@ -114,7 +116,13 @@ class Condensation:
             shifts.append(diagonal.array_r[outer].copy())
             diagonal.array[outer] += shifts[-1]
             matrix.setDiagonal(diagonal)
-            self._factors.add(matrix, outer)
+            try:
+                self._factors.add(matrix, outer)
+            except PETSc.Error:  # a zero pivot
+                singular = True
+        if self.comm.allreduce(singular, op=MPI.LOR):
+            self._stiffness_version = -1
+            raise SolveError(SINGULAR)
         give_back_memory()
         self._shift, self._kept = np.concatenate(shifts), np.concatenate(places)
         reduced = self._factors.complement() - np.diag(self._shift)

@@ -11,6 +11,7 @@ from piezomat.discretization.model import Model
 from piezomat.scene.sections import Solver
 from piezomat.solver.condensation import Condensation
 from piezomat.solver.multigrid import Multigrid
+from piezomat.solver.outcome import SINGULAR
 from piezomat.solver.tangent_operator import TangentOperator
 
 # Largest three-dimensional model that is factorized. Multigrid costs less from 6,000 unknowns (two crossed fibers, five
@@ -48,7 +49,7 @@ class Direct:
     failure: words for a linear solve that fails. The tolerances are those of a Krylov solver: none.
     """
 
-    failure = "the tangent matrix is singular: something can move, or charge up, without resistance"
+    failure = SINGULAR
     start_tolerance = close_tolerance = None
     operators: tuple[PETSc.Mat, PETSc.Mat]
 

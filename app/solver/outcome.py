@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 
+SINGULAR = "the tangent matrix is singular: something can move, or charge up, without resistance"
+
+
 class SolveError(RuntimeError):
     """A load level could not be solved; the message is the reason in words. Raised on all ranks."""
 
