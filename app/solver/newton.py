@@ -19,6 +19,7 @@ from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.forms import fenicsx
+from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Solver
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.convergence import Convergence
@@ -64,11 +65,15 @@ class Newton:
         self.snes.setConvergenceTest(self._test_convergence)
         if problem.contact is not None:
             self.snes.setLineSearchPreCheck(self._adapt_step)
-        with self._options.blamed():
-            self.linear.attach(self.snes.getKSP())
-            self.snes.setFromOptions()
-        self._options.check_used(problem.comm, ("snes_", "ksp_"))
         self._options_are_checked = False
+        try:
+            with self._options.blamed():
+                self.linear.attach(self.snes.getKSP())
+                self.snes.setFromOptions()
+            self._options.check_used(problem.comm, ("snes_", "ksp_"))
+        except SceneError:
+            self.close()  # or Python calls methods of what is gone when it ends
+            raise
 
     def close(self) -> None:
         """Take this solver's options out of PETSc's database. Not collective; ends its use."""

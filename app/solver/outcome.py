@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-
 SINGULAR = "the tangent matrix is singular: something can move, or charge up, without resistance"
 
 
