@@ -35,6 +35,9 @@ __all__ = ["__version__", *_MODULES]
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'piezomat' has no attribute '{name}'")
+    hidden = import_module("piezomat.environment").hidden_packages()
+    if hidden is not None:
+        raise ImportError(hidden)
     value = getattr(import_module(_MODULES[name]), name)
     globals()[name] = value
     return value

@@ -10,6 +10,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
+from importlib import metadata
 from pathlib import Path
 
 _notes: list[str] = []
@@ -32,7 +33,30 @@ def prepare(arguments: Sequence[str]) -> str | None:
             return f"{ascii(argument)[:100]}: found bytes that are no text; allowed: arguments and file names in UTF-8"
         if len(os.fsencode(argument)) > 100_000:
             return f"{argument[:40]}...: found an argument of {len(argument)} characters; allowed: at most 100,000"
-    return None
+    return hidden_packages()
+
+
+def hidden_packages() -> str | None:
+    """Packages of other versions than DOLFINx was built with, in one line that says what to type; None without any.
+
+    scripts/setup writes down Debian's versions in the virtual environment, where pip may have put others before them.
+    """
+    root = Path(sys.prefix)
+    try:
+        pinned = (root / "debian.constraints").read_text(encoding="utf-8").split()
+    except OSError:
+        return None
+    wrong = []
+    for name, _, version in (pin.partition("==") for pin in pinned):
+        try:
+            found = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+        if found != version:
+            wrong.append(f"{name} {found}, where DOLFINx needs {version}")
+    if not wrong:
+        return None
+    return f"{root}: found {'; '.join(wrong)}; to mend it type: {root.parent / 'scripts' / 'setup'}"
 
 
 def use_cache(made: str | None) -> None:
