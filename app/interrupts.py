@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM during a run: the present step is finished, what there is is kept, then the run ends."""
+"""SIGINT and SIGTERM during a run: it ends at the next Newton iteration, with the steps that have converged."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ import logging
 import signal
 import threading
 from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 from mpi4py import MPI
@@ -17,6 +18,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as Bar
 
 log = logging.getLogger("piezomat")
+
+WAIT = 10.0  # s of a step without a line
 
 
 def ignore_broken_pipes() -> None:
@@ -33,6 +36,7 @@ class Progress:
         self._many = comm.size > 1  # mpirun shows every program a terminal, a batch job's log too
         self._title, self._total, self._done = title, total, done
         self._bar: Bar | None = None
+        self._start_waiting()
 
     def __enter__(self) -> Progress:
         if self._rank == 0:
@@ -54,7 +58,15 @@ class Progress:
             f"step {row['step']:3d}/{self._total}  {factors}  {row['newton']} iterations{cut}  {row['seconds']:.2f} s"
         )
         self._attempt(lambda: self._print(line))
+        self._start_waiting()
         log.info("%s", line)
+
+    def working(self, line: str) -> None:
+        """Show what a long step is at: after 10 s, then at most every 10 s; in a file or pipe ever more seldom."""
+        if self._rank != 0 or monotonic() < self._next:
+            return
+        self._attempt(lambda: self._show(line))
+        self._next = monotonic() + self._wait
 
     def warn(self, text: str) -> None:
         """Report a doubt about the results, one sentence."""
@@ -70,11 +82,23 @@ class Progress:
         self._bar.start()
         self._task = self._bar.add_task(self._title, total=self._total, completed=self._done)
 
+    def _start_waiting(self) -> None:
+        self._wait, self._next = WAIT, monotonic() + WAIT
+
+    def _show(self, line: str) -> None:
+        if self._bar is None:
+            return
+        if self._bar.disable:
+            self._print(f"  {line}", advance=0)
+            self._wait *= 2.0  # a night's log stays short
+        else:
+            self._bar.update(self._task, description=f"{self._title} ({line})")
+
     def _print(self, line: str, advance: int = 1) -> None:
         if self._bar is not None:
             self._bar.console.print(line, markup=False, soft_wrap=True)
             self._bar.console.file.flush()
-            self._bar.advance(self._task, advance)
+            self._bar.update(self._task, advance=advance, description=self._title)
 
     def _attempt(self, write: Callable[[], object]) -> None:
         """Write, unless that fails: then nothing more is written."""

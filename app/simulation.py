@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -38,10 +39,11 @@ from piezomat.results.ranks import described, load_per_rank
 from piezomat.results.run_scene import text_of
 from piezomat.scene import Scene
 from piezomat.scene.errors import mesh_error, named
-from piezomat.solver.linear import Direct, Multigrid
+from piezomat.solver.description import describe
 from piezomat.solver.load_steps import Step, Stepper, StepReport, steps
 from piezomat.solver.newton import Newton
-from piezomat.solver.outcome import SolveError
+from piezomat.solver.outcome import ERRATIC, SolveError
+from piezomat.solver.step_watch import StepWatch, StopRequested, TooManyIterations
 from piezomat.usage import Timer
 
 log = logging.getLogger("piezomat")
@@ -101,7 +103,7 @@ def run(
             model = Model(scene, bodies)
             contact = interfaces_of(model)
         problem = Problem(model, contact, timer)
-        newton = Newton(problem, scene.solver)
+        newton = Newton(problem, scene.solver, StepWatch(stop.requested))
         augment_tolerance = scene.contact.augment if scene.contact is not None else None
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks, augment_tolerance)
         balance = EnergyBalance(problem)
@@ -194,6 +196,8 @@ class _Session:
         progress = Progress(self.comm, self.scene.title, self.last_step + len(todo), self.last_step)
         reason = "all load steps converged"
         failure: Exception | None = None
+        erratic: list[str] = []
+        self.stepper.watch.show = progress.working
         with progress:
             if self.scene.outcome is not None:
                 log.info("%s", self.scene.outcome)
@@ -204,17 +208,24 @@ class _Session:
                 progress.warn(text)
             for step in todo:
                 if stop.requested():
-                    failure = Interrupted(f"interrupted: {self._what_is_kept(self.last_step)}")
+                    failure = self._interrupted("")
                     break
                 began = perf_counter()
                 try:
                     report = self.stepper.advance(step, lambda part: self.balance.add_part(part.snap_through_work))
                     self._check_electrodes(step)
-                except SolveError as error:
+                except StopRequested as where:
+                    failure = self._interrupted(f" {where}")
+                    break
+                except (SolveError, TooManyIterations) as error:
                     failure = NotConverged(f"{error}; {self._what_is_kept(self.last_step)}")
                     break
                 self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
+                if report.is_erratic:
+                    erratic.append(str(step.number))
+            if erratic:
+                progress.warn(ERRATIC.format(steps=named(erratic)))
         untouched = (
             untouched_bodies(self.model, self._touched) if self.history and self.problem.contact is not None else []
         )
@@ -340,6 +351,10 @@ class _Session:
             raise OutputError(str(error)) from error
         self._saved_step = self.last_step
 
+    def _interrupted(self, where: str) -> Interrupted:
+        resume = f"; go on with: piezomat resume {shlex.quote(str(self.out))}" if self.out is not None else ""
+        return Interrupted(f"interrupted{where}: {self._what_is_kept(self.last_step)}{resume}")
+
     def _what_is_kept(self, last: int) -> str:
         where = f" in {self.out}" if self.out is not None else ""
         return f"steps 1 to {last} are kept{where}" if last > 0 else "no step had converged"
@@ -352,15 +367,6 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
     bodies = _mesh(scene, comm, None, False, None, None)
     model = Model(scene, bodies)
     return plan_text(scene, model, interfaces_of(model))
-
-
-def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
-    """One line for the log: size, physics, solver."""
-    physics = "displacement and potential" if model.electric else "displacement"
-    how = "one linear solve a step" if problem.is_linear else "Newton's method"
-    solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
-    contact = "no contact" if problem.contact is None else problem.contact.described()
-    return f"{model.unknowns.total} unknowns ({physics}), {contact}, {how}, {solver} linear solver"
 
 
 def _mesh(

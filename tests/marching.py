@@ -29,6 +29,7 @@ class Watched:
 
     def __init__(self, newton: Newton, before: Hook, after: Hook) -> None:
         self.newton = newton
+        self.watch = newton.watch
         self.before = before
         self.after = after
 

@@ -20,9 +20,10 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.interface import stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
-from piezomat.solver.outcome import NewtonReport, SolveError
+from piezomat.solver.outcome import WANDERING, NewtonReport, SolveError
 from piezomat.solver.snap_through import snap_through, snap_through_work
 from piezomat.solver.stabilization_continuation import StabilizationContinuation
+from piezomat.solver.step_watch import StepAbandoned
 
 log = logging.getLogger("piezomat")
 
@@ -70,6 +71,7 @@ class StepReport:
     """Effort of a load step: Newton and Krylov iterations, cuts, augmentations, and the report of each solve.
 
     snap_through_work (2,): see `snap_through_work`, of the last part that converged; None where nothing has snapped.
+    is_erratic: whether a solve wandered far from equilibrium until rounding may have picked where it ended.
     """
 
     newton: int = 0
@@ -78,6 +80,7 @@ class StepReport:
     augmentations: int = 0
     solves: list[NewtonReport] = field(default_factory=list)
     snap_through_work: Array | None = None
+    is_erratic: bool = False
 
 
 class AugmentationError(SolveError):
@@ -92,11 +95,16 @@ class Stepper:
     """
 
     def __init__(
-        self, problem: Problem, newton: Newton, max_cutbacks: int, augment_tolerance: float | None = None
+        self,
+        problem: Problem,
+        newton: Newton,
+        max_cutbacks: int,
+        augment_tolerance: float | None = None,
     ) -> None:
         """augment_tolerance: see `contact.augment` of a scene; None: no augmentation."""
         self.problem = problem
         self.newton = newton
+        self.watch = newton.watch
         self.stabilization = (
             StabilizationContinuation(problem, newton.solve) if problem.stabilization.is_active else None
         )
@@ -108,25 +116,28 @@ class Stepper:
     def advance(self, step: Step, committed: Callable[[StepReport], None]) -> StepReport:
         """Take the step, in parts if need be; `committed(report so far)` is called after each part that converged.
 
-        Raises SolveError with the reason, the state being that of the last part that converged.
+        Raises SolveError or StepAbandoned with the reason, the state being that of the last part that converged.
         """
         report = StepReport()
+        self.watch.start(step.number)
         done = 0.0
         while done < 1.0:
             target = min(done + self.size, 1.0)
             before = step.factors(done) if step.number > 1 or done else None
+            self.watch.start_try(target - done)
             try:
                 self._part(before, step.factors(target), committed, report)
             except AugmentationError:
                 raise
             except SolveError as error:
                 report.cutbacks += 1
+                self.watch.failed(str(error))
                 contact, tried = self.problem.contact, target - done  # the last part of a step may be a small rest
                 if contact is None or not contact.adhesive or tried > 0.5**SNAP_CUTBACKS:
                     self._cut(step, tried, error)
                     continue
                 log.info("step %d: bonds snap: %s", step.number, error)
-                self._snap_through(before, step.factors(target), committed, report)
+                self._snap_through(before, step.factors(target), tried, committed, report)
             done = target
             self.size = min(1.0, 2.0 * self.size)
         return report
@@ -153,7 +164,7 @@ class Stepper:
             problem.contact.start_viscous_regularization(viscosity)
         try:
             self._solve(search_radius, prescribed, report)
-        except SolveError:
+        except (SolveError, StepAbandoned):
             problem.converged_state.copy(problem.state)
             if problem.contact is not None:
                 problem.contact.restore_multipliers()
@@ -165,12 +176,18 @@ class Stepper:
         committed(report)
 
     def _snap_through(
-        self, before: Factors | None, after: Factors, committed: Callable[[StepReport], None], report: StepReport
+        self,
+        before: Factors | None,
+        after: Factors,
+        share: float,
+        committed: Callable[[StepReport], None],
+        report: StepReport,
     ) -> None:
-        """Reach a load level where bonds snap, in parts at this level."""
+        """Reach a load level where bonds snap, this share of the step away, in parts at this level."""
 
         def part(viscosity: float) -> None:
             nonlocal before
+            self.watch.start_try(share)
             self._part(before, after, committed, report, viscosity)
             before = after
 
@@ -188,6 +205,7 @@ class Stepper:
             report.newton += solve.iterations
             report.krylov += solve.krylov
             report.solves.append(solve)
+            report.is_erratic |= solve.wandering >= WANDERING
             report.augmentations += number > 0
             if tolerance is None:
                 return

@@ -27,8 +27,9 @@ from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
 from piezomat.solver.linear import linear_solver
 from piezomat.solver.options import SolverOptions
-from piezomat.solver.outcome import NewtonReport, SolveError
+from piezomat.solver.outcome import FAR, NewtonReport, SolveError
 from piezomat.solver.start_value import StartValue
+from piezomat.solver.step_watch import StepWatch
 
 # Relative residual of the displacements below which electrostatic attraction acts on unconstrained bodies; above it, it
 # would throw them about.
@@ -41,12 +42,14 @@ class Newton:
     """Solves a `Problem` at its present load level, starting from its present state. Every method is collective.
 
     linear: how the tangent's systems are solved; snes: PETSc's Newton method, which calls the methods here;
+    watch: the load step that the solves are for: it counts their iterations, and may end one;
     convergence, line_search, prediction, start_value, checks: the parts of an iteration that have modules of their own.
     """
 
-    def __init__(self, problem: Problem, keys: Solver) -> None:
+    def __init__(self, problem: Problem, keys: Solver, watch: StepWatch | None = None) -> None:
         self.problem = problem
         self.keys = keys
+        self.watch = watch or StepWatch()
         self.linear = linear_solver(problem, keys)
         self._options = SolverOptions({"snes_linesearch_type": "basic", **self.linear.options()}, keys.petsc)
         self.snes = PETSc.SNES().create(problem.comm)
@@ -84,15 +87,16 @@ class Newton:
         self.snes.destroy()
 
     def solve(self, search_radius: float, report: NewtonReport) -> None:
-        """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
+        """Bring the problem's state to equilibrium; SolveError, or StepAbandoned, and a spoilt state if that fails.
 
         search_radius (um): of the contact search at the start of the step. The effort is added to the report.
         """
-        self._report = report
+        self._report, first = report, len(report.residuals)
         condensation = self.linear.condensation
         before = condensation.factor_solves if condensation is not None else 0
         try:
             self._solve(search_radius)
+            report.wandering = sum(residual > FAR for residual in report.residuals[first:])
         finally:
             if condensation is not None:
                 report.factor_solves += condensation.factor_solves - before
@@ -108,7 +112,9 @@ class Newton:
             problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
             problem.contact.set_tolerance_and_tangent(0, np.inf, unconstrained=problem.has_weakly_held_bodies)
         with self._options.blamed():
-            self.start_value.step(report, closely=problem.is_linear)
+            self.watch.count()
+        self.watch.end_step()
+        self.start_value.step(report, closely=problem.is_linear)
         if not self._options_are_checked:  # the parts of the linear solver are set up now, which the others are read by
             self._options.check_used(problem.comm, ("",))
             self._options_are_checked = True
@@ -129,6 +135,7 @@ class Newton:
             self.snes.solve(None, self.problem.state)
         self._report.iterations += self.snes.getIterationNumber()
         self._report.krylov += self.snes.getLinearSolveIterations()
+        self.watch.end_step()
 
     def _residual_at(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
         self.line_search.residual(x, result)
@@ -152,6 +159,8 @@ class Newton:
             return fenicsx.NOT_A_NUMBER
         if largest <= self.convergence.tolerance:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
+        if self.watch.count(largest):
+            return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_COUNT
         if iteration >= self.keys.max_iterations:
             return PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return PETSc.SNES.ConvergedReason.ITERATING

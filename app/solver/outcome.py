@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+FAR = 0.1  # relative residual at which a state is far from any equilibrium
+# Iterations far from equilibrium, in one solve, after which rounding may pick where they lead. Shipped scenes take at
+# most 3; the tips of a C that are driven past each other took 12 to 21, and ended elsewhere on two ranks.
+WANDERING = 10
+ERRATIC = (
+    "of several equilibria rounding may have picked one in steps {steps}: Newton's method wandered far from any before "
+    "it converged; take smaller steps, or compare runs on different numbers of ranks"
+)
 SINGULAR = "the tangent matrix is singular: something can move, or charge up, without resistance"
 
 
@@ -17,7 +25,8 @@ class NewtonReport:
 
     iterations: Newton iterations, the start value counted as one; krylov: iterations of the Krylov solver, a direct
     solve counted as one; residuals: relative residual at each iteration. With a condensed bulk, factor_solves: solves
-    with the factors of the bulk on this rank; candidates: nodes that the bulk is condensed to, at the end.
+    with the factors of the bulk on this rank; candidates: nodes that the bulk is condensed to, at the end. wandering:
+    iterations of the last solve that converged whose relative residual was above `FAR`.
     """
 
     iterations: int = 0
@@ -25,3 +34,4 @@ class NewtonReport:
     residuals: list[float] = field(default_factory=list)
     factor_solves: int = 0
     candidates: int = 0
+    wandering: int = 0

@@ -29,6 +29,9 @@ MANY_BODIES = 50  # unconstrained bodies, from which springs are stiffer from th
 STIFFER, LARGEST_ENERGY_SHARE = 100.0, 5e-4
 UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 
+# As a round body does that a load presses on another one, with no boundary to hold it sideways.
+UNSTABLE = "weak springs do not keep a loose body where it is: under its load it slides, rolls or flies off"
+
 
 class StabilizationContinuation:
     """Solves a problem with unconstrained bodies by changing the stiffness of their springs. Methods are collective.
@@ -87,10 +90,12 @@ class StabilizationContinuation:
                     self.newton(search_radius, report)
                     if self._has_flown(prescribed, here):
                         raise SolveError(UNHELD)
-                except SolveError:
+                except SolveError as error:
                     reduction = reduction**0.5
-                    if reduction < SMALLEST_REDUCTION or last > INITIAL_FACTOR:
+                    if last > INITIAL_FACTOR:
                         raise
+                    if reduction < SMALLEST_REDUCTION:
+                        raise SolveError(f"{error}; {UNSTABLE}") from error
                     here.copy(problem.state)
                     problem.pair(search_radius)
                 else:

@@ -30,6 +30,7 @@ from tests.histories import Rows, assert_equal
 ROOT = Path(__file__).parents[2]
 STEPS = 12
 AFTER = 3  # the step after which runs are interrupted
+MESSAGE = f"interrupted: steps 1 to {AFTER} are kept in out; go on with: piezomat resume out"
 
 SCENE = """
 title = "Pressed, interrupted, pulled off"
@@ -194,7 +195,9 @@ def test_stopped_by_command(
         stop_after(patch, AFTER, comm)
         assert cli.main(["run", "scene.toml", "--out", "out"]) == 1
     out, err = capfd.readouterr()
-    assert err == ("" if comm.rank else f"interrupted: steps 1 to {AFTER} are kept in out\n")
+    assert err == (
+        "" if comm.rank else f"interrupted: steps 1 to {AFTER} are kept in out; go on with: piezomat resume out\n"
+    )
     assert out.count("step ") == (0 if comm.rank else AFTER)
     assert cli.main(["resume", "out"]) == 0
     out, err = capfd.readouterr()
@@ -229,7 +232,7 @@ def test_signals(number: signal.Signals, ranks: int, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     (tmp_path / "stopped.py").write_text(STOPPED.format(after=AFTER), encoding="utf-8")
     done = launch(ranks, tmp_path, "stopped.py", str(int(number)), "run", "scene.toml", "--out", "out")
-    message = f"interrupted: steps 1 to {AFTER} are kept in out\n"
+    message = f"{MESSAGE}\n"
     assert done.stderr.startswith(message) if ranks > 1 else done.stderr == message  # Open MPI 5 reports ranks in error
     assert done.returncode == 1 and done.stdout.count("step ") == AFTER
     check_files(tmp_path / "out", finished=False)
