@@ -263,14 +263,19 @@ def _check_directory(out: Path, scene: Path) -> None:
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not there.is_dir():
         raise SceneError("--out", f"{there}, which is a file", "a directory, new or of an older run")
+    _check_writable(there)
+    check_scene_stays(out, scene)
+    check_free(out)
+
+
+def _check_writable(there: Path) -> None:
+    """Raise SceneError unless a file can be made in a directory."""
     try:
         os.rmdir(tempfile.mkdtemp(dir=there, prefix=".piezomat-"))  # a mode says nothing of /proc, nor to root
     except OSError as error:
         raise SceneError(
             "--out", f"{there}, which cannot be written to ({error.strerror})", "a writable directory"
         ) from None
-    check_scene_stays(out, scene)
-    check_free(out)
 
 
 def _check_picture(directory: Path) -> None:
@@ -286,6 +291,7 @@ def _mesh_name(text: str, scene: Scene) -> Path:
         raise SceneError("--out", str(out), "a name that ends in .msh")
     if not out.absolute().parent.is_dir():
         raise SceneError("--out", f"{out}, in no directory", "a file in a directory that exists")
+    _check_writable(out.absolute().parent)
     if out.exists() and (file := getattr(scene.geometry, "file", None)) is not None and out.samefile(file):
         raise SceneError("--out", f"{out}, which the scene reads", "another file")
     return out
