@@ -111,10 +111,10 @@ class Newton:
             # Unconstrained bodies are thrown about by potentials that are not yet those of bodies in equilibrium.
             problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
             problem.contact.set_tolerance_and_tangent(0, np.inf, unconstrained=problem.has_weakly_held_bodies)
-        with self._options.blamed():
-            self.watch.count()
+        self.watch.count()
         self.watch.end_step()
-        self.start_value.step(report, closely=problem.is_linear)
+        with self._options.blamed():
+            self.start_value.step(report, closely=problem.is_linear)
         if not self._options_are_checked:  # the parts of the linear solver are set up now, which the others are read by
             self._options.check_used(problem.comm, ("",))
             self._options_are_checked = True
