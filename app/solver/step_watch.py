@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-# Newton iterations of one load step, those of tries that failed included. The most that a shipped scene takes is 256
-# (fibers_2d, adhesion.strength = 120: bonds that snap); a load that nothing can carry took 20,000 without an end.
+# Newton iterations of one load step, those of tries that failed included. Shipped scenes take at most 40, snapping bonds
+# 256 (fibers_2d with adhesion.strength = 120); a load that nothing can carry took 20,000 without an end.
 MAX_ITERATIONS = 2000
 
 
