@@ -163,14 +163,15 @@ def _mesh_one_by_one(bodies: Sequence[Body], sizes: MeshSizes) -> tuple[dict[str
             kinds[kind] = _Meshed.of(body, sizes)
         drawn.append(kinds[kind])
     gmsh.model.setCurrent(whole)
-    # All nodes at once, and an entity for each group, not for each arc: with each call gmsh numbers all nodes anew.
+    # Nodes body by body, and an entity for each group, not for each arc: gmsh looks up all nodes anew with each call.
     x = [meshed.x + np.subtract(body.frame.origin, meshed.origin) for body, meshed in zip(bodies, drawn, strict=True)]
     first = np.cumsum([1, *map(len, x)])
     entities = {body.name: [gmsh.model.addDiscreteEntity(2)] for body in bodies}
-    gmsh.model.mesh.addNodes(2, entities[bodies[0].name][0], np.arange(1, first[-1]), np.concatenate(x).ravel())
     facets: dict[str, list[Integers]] = {}
-    for body, meshed, start in zip(bodies, drawn, first[:-1], strict=True):
-        gmsh.model.mesh.addElementsByType(entities[body.name][0], meshed.cell_type, [], (start + meshed.cells).ravel())
+    for body, meshed, points, start in zip(bodies, drawn, x, first[:-1].tolist(), strict=True):
+        (entity,) = entities[body.name]
+        gmsh.model.mesh.addNodes(2, entity, np.arange(start, start + len(points)), points.ravel())
+        gmsh.model.mesh.addElementsByType(entity, meshed.cell_type, [], (start + meshed.cells).ravel())
         for group, numbers in meshed.facets.items():
             facets.setdefault(group, []).append((start + numbers).ravel())
     named = {}
