@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-# Newton iterations of one load step, those of tries that failed included. Shipped scenes take at most 40, snapping bonds
+# Newton iterations of one load step, with those of failed tries. Shipped scenes take at most 40, snapping bonds
 # 256 (fibers_2d with adhesion.strength = 120); a load that nothing can carry took 20,000 without an end.
 MAX_ITERATIONS = 2000
 
