@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from piezomat import cli
+from piezomat.results.folder import MARK
 
 ROOT = Path(__file__).parents[2]
 LIMIT = 10.0  # s of the processor: what else the machine does is not the program's fault
@@ -465,7 +466,7 @@ def test_a_refused_scene_leaves_the_results_of_an_older_run(folder: Path, capsys
     """Also where the mistake shows only once the mesh is there."""
     older = folder / "results" / "wrong"
     older.mkdir(parents=True)
-    for name in ("history.csv", "summary.json", "scene.toml"):
+    for name in (MARK, "history.csv", "summary.json", "scene.toml"):
         (older / name).write_text("older", encoding="utf-8")
     (folder / "wrong.toml").write_text(INSIDE, encoding="utf-8")
     refused(capsys, folder, "contact.pairs[0]")
