@@ -25,6 +25,9 @@ from piezomat.meshes.builders.sizes import (
 from piezomat.meshes.builders.structured import BodyPatch, Lattice, PatchMesh
 from piezomat.meshes.gmsh_io import model as gmsh_model
 
+# Bodies in 2D from which on each is meshed by itself; fewer take no longer together.
+MANY = 20
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -116,7 +119,7 @@ def _layers(body: Body, sizes: MeshSizes) -> Array | None:
 
 def _draw_freely(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:
     """Mesh with triangles or tetrahedra inside the outlines."""
-    if bodies[0].dimension == 3:
+    if bodies[0].dimension == 3 or len(bodies) < MANY:
         entities, facets = _mesh_freely(bodies, sizes)
     else:
         entities, facets = _mesh_one_by_one(bodies, sizes)

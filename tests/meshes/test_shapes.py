@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from piezomat.meshes.body_mesh import arrays_of
+from piezomat.meshes.builders import extrude
 from piezomat.meshes.builders.structured import Lattice
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.shapes import (
     Cantilever,
     CrossedFibers,
     FacingHalves,
+    FiberArray,
     FiberOnBlock,
     MeshSizes,
     ParallelFibers,
@@ -329,3 +332,20 @@ def test_a_session_leaves_the_callers_gmsh_as_it_was() -> None:
         assert gmsh.option.getNumber("Mesh.Binary") == 0
     finally:
         gmsh.finalize()
+
+
+def test_bodies_meshed_one_by_one_are_those_meshed_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    shape = FiberArray(arrangement="random", columns=5, rows=4, radius_spread=0.1)
+    found = []
+    for many in (2, 1000):
+        monkeypatch.setattr(extrude, "MANY", many)
+        found.append(arrays_of(shape, MeshSizes(0.4, 0.2)))
+    alone, together = found
+    assert alone.bodies == together.bodies and alone.facet_groups == together.facet_groups
+    assert len(alone.facets) == len(together.facets)
+    assert len(alone.cells) == pytest.approx(len(together.cells), rel=0.03)
+    areas = []
+    for mesh in found:
+        a, b, c = np.moveaxis(mesh.x[mesh.cells], 1, 0)
+        areas.append(np.bincount(mesh.cell_body, np.abs(np.cross(b - a, c - a)) / 2.0))
+    assert np.allclose(*areas, rtol=1e-12)  # the outlines are divided alike
