@@ -198,10 +198,10 @@ def _plan(options: argparse.Namespace, comm: MPI.Comm) -> int:
 def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
     out = on_root(comm, lambda: _mesh_name(options.out, scene))
-    from piezomat.meshes.body_mesh import create
+    from piezomat.meshes import body_mesh
 
     try:
-        create(comm, scene.geometry, scene.sizes, save=out)
+        body_mesh.write(comm, scene.geometry, scene.sizes, out)
     except MeshError as error:
         if error.key != "out":
             raise

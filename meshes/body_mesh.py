@@ -67,6 +67,12 @@ def create(
         return distribute(comm, arrays, partition)
 
 
+def write(comm: MPI.Comm, geometry: Shape | MeshFile, sizes: MeshSizes, path: Path) -> None:
+    """Build or read a mesh on rank 0 and write it as MSH 4.1. Collective. Raises MeshError on all ranks."""
+    with blaming(geometry.file) if isinstance(geometry, MeshFile) else nullcontext():
+        only_on_root(comm, lambda: arrays_of(geometry, sizes, path))
+
+
 def arrays_of(geometry: Shape | MeshFile, sizes: MeshSizes, save: Path | None = None) -> Arrays:
     """Mesh of a geometry as arrays. Not collective. Raises MeshError."""
     with gmsh_model.session():
@@ -107,8 +113,9 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
     wanted = comm.gather(fenicsx.original_cells(mesh))
     data, part_bodies = None, None
     if comm.rank == 0:
-        parts = range(mine.cell_part.max() + 1)
-        part_bodies = [sorted(set(mine.cell_body[mine.cell_part == part].tolist())) for part in parts]
+        parts = np.arange(mine.cell_part.max() + 1)
+        pairs = np.unique(np.stack([mine.cell_part, mine.cell_body]), axis=1)
+        part_bodies = [bodies.tolist() for bodies in np.split(pairs[1], np.searchsorted(pairs[0], parts)[1:])]
         data = [np.stack([mine.cell_body[cells], mine.cell_part[cells]]) for cells in wanted]
     cell_body, cell_part = comm.scatter(data)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import gmsh
 import numpy as np
@@ -27,6 +29,7 @@ from piezomat.meshes.gmsh_io import model as gmsh_model
 
 # Bodies in 2D from which on each is meshed by itself; fewer take no longer together.
 MANY = 20
+TOGETHER = 50  # of these, bodies that are added to a gmsh model at once
 
 
 @dataclass(frozen=True)
@@ -166,22 +169,39 @@ def _mesh_one_by_one(bodies: Sequence[Body], sizes: MeshSizes) -> tuple[dict[str
             kinds[kind] = _Meshed.of(body, sizes)
         drawn.append(kinds[kind])
     gmsh.model.setCurrent(whole)
-    # Nodes body by body, and an entity for each group, not for each arc: gmsh looks up all nodes anew with each call.
-    x = [meshed.x + np.subtract(body.frame.origin, meshed.origin) for body, meshed in zip(bodies, drawn, strict=True)]
-    first = np.cumsum([1, *map(len, x)])
-    entities = {body.name: [gmsh.model.addDiscreteEntity(2)] for body in bodies}
-    facets: dict[str, list[Integers]] = {}
-    for body, meshed, points, start in zip(bodies, drawn, x, first[:-1].tolist(), strict=True):
-        (entity,) = entities[body.name]
-        gmsh.model.mesh.addNodes(2, entity, np.arange(start, start + len(points)), points.ravel())
-        gmsh.model.mesh.addElementsByType(entity, meshed.cell_type, [], (start + meshed.cells).ravel())
-        for group, numbers in meshed.facets.items():
-            facets.setdefault(group, []).append((start + numbers).ravel())
-    named = {}
-    for group, numbers in facets.items():
-        named[group] = [gmsh.model.addDiscreteEntity(1)]
-        gmsh.model.mesh.addElementsByType(named[group][0], drawn[0].facet_type, [], np.concatenate(numbers))
-    return entities, named
+    entities = {body.name: [number] for number, body in enumerate(bodies, start=1)}
+    groups = dict.fromkeys(group for meshed in drawn for group in meshed.facets)
+    facets = {group: [number] for number, group in enumerate(groups, start=1)}
+    nodes, elements = _Tags(), _Tags()
+    # gmsh looks up all nodes of a model for each entity that gets elements: 50 bodies at a time are added to a model of
+    # their own, and come here through a file, with their tags. For 3,000 fibers this takes 25 s instead of 78.
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / "bodies.msh"
+        for first in range(0, len(bodies), TOGETHER):
+            gmsh.model.add("bodies")
+            some = slice(first, first + TOGETHER)
+            for body, meshed in zip(bodies[some], drawn[some], strict=True):
+                meshed.add(body, entities[body.name][0], facets, nodes, elements)
+            gmsh.option.setNumber("Mesh.SaveAll", 1)
+            gmsh_model.write(file)
+            gmsh.option.setNumber("Mesh.SaveAll", 0)
+            gmsh.model.remove()
+            gmsh.model.setCurrent(whole)
+            gmsh.merge(str(file))
+    return entities, facets
+
+
+class _Tags:
+    """Tags not yet given to a node or element."""
+
+    def __init__(self) -> None:
+        self.first = 1
+
+    def take(self, count: int) -> Integers:
+        """The next `count` tags."""
+        tags = np.arange(self.first, self.first + count)
+        self.first += count
+        return tags
 
 
 def _kind(body: Body, sizes: MeshSizes) -> tuple[object, ...]:
@@ -204,6 +224,22 @@ class _Meshed:
     cell_type: int
     facets: dict[str, Integers]
     facet_type: int
+
+    def add(self, body: Body, entity: int, facets: dict[str, list[int]], nodes: _Tags, elements: _Tags) -> None:
+        """Add a copy for this body to the current gmsh model, with entities of the body and of each group."""
+        tags = nodes.take(len(self.x))
+        x = self.x + np.subtract(body.frame.origin, self.origin)
+        gmsh.model.addDiscreteEntity(2, entity)
+        gmsh.model.mesh.addNodes(2, entity, tags, x.ravel())
+        cells = tags[self.cells]
+        gmsh.model.mesh.addElementsByType(entity, self.cell_type, elements.take(len(cells)), cells.ravel())
+        there = {tag for _, tag in gmsh.model.getEntities(1)}
+        for group, numbers in self.facets.items():
+            (boundary,) = facets[group]
+            if boundary not in there:
+                gmsh.model.addDiscreteEntity(1, boundary)
+            facet_tags = elements.take(len(numbers))
+            gmsh.model.mesh.addElementsByType(boundary, self.facet_type, facet_tags, tags[numbers].ravel())
 
     @classmethod
     def of(cls, body: Body, sizes: MeshSizes) -> _Meshed:
