@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import resource
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +48,17 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def file_limit() -> Iterator[Any]:
-    """Sets the size (bytes) of the largest file that this process may write; without limit again afterwards."""
+@contextmanager
+def file_limit() -> Iterator[Callable[[int], None]]:
+    """Gives a function that sets the size (bytes) of the largest file that this process may write.
+
+    The limit ends with the `with` block, not with the test: pytest writes its results to a file too, perhaps.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def check_whole_files(out: Path) -> int:
@@ -78,23 +84,22 @@ def test_a_limit_on_the_size_of_files(
     indexed: tuple[int, int],
     whole: Path,
     tmp_path: Path,
-    file_limit: Any,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Set during the run, below the size of a file of the third step."""
     out, stepped = tmp_path / "out", Progress.step
     scene = Scene.load(whole / "beam.toml", [f"output.fields={fields}"])
 
-    def limited(self: Progress, row: dict[str, Any]) -> None:
-        stepped(self, row)
-        if row["step"] == AFTER:
-            file_limit((whole / "out" / file).stat().st_size - 200)
+    with file_limit() as limit, monkeypatch.context() as patch:
 
-    with monkeypatch.context() as patch:
+        def limited(self: Progress, row: dict[str, Any]) -> None:
+            stepped(self, row)
+            if row["step"] == AFTER:
+                limit((whole / "out" / file).stat().st_size - 200)
+
         patch.setattr(Progress, "step", limited)
         with pytest.raises(OutputError, match=f"File too large.*steps 1 to {AFTER} are kept in {out}"):
             run(scene, MPI.COMM_SELF, out)
-    file_limit(resource.RLIM_INFINITY)
     assert check_whole_files(out) == indexed[0]
     assert len(read_history(out / "history.csv")) == AFTER
     history = run(scene, MPI.COMM_SELF, out, resume=True).history
@@ -102,16 +107,19 @@ def test_a_limit_on_the_size_of_files(
     assert check_whole_files(out) == indexed[1]
 
 
-def test_a_mesh_that_is_cut(whole: Path, tmp_path: Path, file_limit: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mesh_that_is_cut(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """gmsh reports nothing; a file of the user's under that name stays."""
     out = tmp_path / "own.msh"
     out.write_text("mine")
-    file_limit(1000)
-    assert cli.main(["mesh", str(whole / "beam.toml"), "--out", str(out)]) == 1
+    with file_limit() as limit:
+        limit(1000)
+        assert cli.main(["mesh", str(whole / "beam.toml"), "--out", str(out)]) == 1
     err = capsys.readouterr().err
     assert "only a part of the mesh could be written" in err and err.count("\n") == 1
     assert os.listdir(tmp_path) == ["own.msh"] and out.read_text() == "mine"
-    assert cli.main(["run", str(whole / "beam.toml"), "--out", str(tmp_path / "out")]) == 1
+    with file_limit() as limit:
+        limit(1000)
+        assert cli.main(["run", str(whole / "beam.toml"), "--out", str(tmp_path / "out")]) == 1
     err = capsys.readouterr().err
     assert "only a part of the mesh could be written" in err and err.count("\n") == 1
     assert os.listdir(tmp_path) == ["own.msh"]
