@@ -15,6 +15,7 @@ import numpy as np
 from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.sizes import LINE, POINT
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
+from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes.blocks import Cantilever, StackedBlocks
 from piezomat.meshes.shapes.fiber_array import FiberArray
 from piezomat.meshes.shapes.fibers import CrossedFibers, FiberOnBlock, ParallelFibers
@@ -44,8 +45,11 @@ def check_size(geometry: Any, mesh: Any) -> None:
     """Raise SceneError for a geometry and sizes of cells that would not fit here, with the key and the estimate."""
     if isinstance(geometry, (MeshFile, Fibers)):
         _check_file(geometry.file)
+    if isinstance(geometry, MeshFile):
         return
-    _check_lengths("geometry", geometry.model_dump(exclude={"seed", "angle", "angles", "tilt", "count", "divisions"}))
+    _check_lengths(
+        "geometry", geometry.model_dump(exclude={"seed", "angle", "angles", "tilt", "count", "divisions", "file"})
+    )
     _check_lengths("mesh", mesh.model_dump(include={"size", "contact_size", "size_factors"}))
     with np.errstate(all="ignore"):
         size = estimate(geometry, mesh)
@@ -97,6 +101,8 @@ def estimate(geometry: Any, mesh: Any) -> Size:
             bodies = len(geometry.angles) * (across / geometry.spacing + 1.0)
             length = min(across, 1.5 * max(geometry.width, geometry.depth))
             return _laid(bodies, geometry, length, fine, far, mesh)
+        case Fibers():
+            return _of_table(geometry, fine, far, mesh)
         case Mat():
             length = geometry.length or min(
                 1.5 * min(geometry.width, geometry.depth), np.hypot(geometry.width, geometry.depth)
@@ -149,6 +155,8 @@ def _key(geometry: Any) -> str:
             return "count"
         case CrossPly():
             return "width" if geometry.width >= geometry.depth else "depth"
+        case Fibers():
+            return "file"
         case Mat():
             given = [key for key in ("count", "areal_density", "thickness") if getattr(geometry, key) is not None]
             points = max(geometry.width, geometry.depth) / geometry.radius
@@ -209,6 +217,21 @@ def _laid(bodies: Any, geometry: Any, length: Any, fine: Any, far: Any, mesh: An
     layers = length / far + 0.5 * (length / geometry.radius) * (geometry.radius / fine)
     each = 1.0 if mesh.cells == "tensor" else 3.0
     return Size(float(bodies), float(bodies * points), float(points), float(bodies * section * layers * each))
+
+
+def _of_table(geometry: Fibers, fine: Any, far: Any, mesh: Any) -> Size:
+    """Fibers swept along the centre lines of a table, those of a table that cannot be read left out."""
+    try:
+        fibers = geometry.fibers
+    except MeshError:
+        return Size(0)  # whoever reads it says so
+    each = 1.0 if mesh.cells == "tensor" else 3.0
+    points, cells = [], 0.0
+    for fiber in fibers:
+        length = float(np.linalg.norm(np.diff(fiber.points, axis=0), axis=1).sum())
+        points.append(2.0 * length / fiber.radius)
+        cells += _round(fiber.radius, None, 2.0, fine, far, mesh, LINE, False) * max(length / far, 1.0) * each
+    return Size(len(fibers), sum(points), max(points), float(cells))
 
 
 def _of_mat(geometry: Mat, length: Any) -> float:
