@@ -28,7 +28,11 @@ class SchurFactors:
         self._complements: list[Array] = []
 
     def add(self, matrix: PETSc.Mat, kept: NDArray[np.int32]) -> None:
-        """Factorize one more matrix, and destroy it; `kept` (n,) are the unknowns of its Schur complement."""
+        """Factorize one more matrix, and destroy it; `kept` (n,), sorted: unknowns of its Schur complement."""
+        # The Schur complement of all unknowns is the matrix itself. MUMPS would return zeros, and solve with them.
+        whole = len(kept) == matrix.getSize()[0]
+        complement = _dense(matrix) if whole else np.zeros((0, 0))
+        condense = 0 < len(kept) and not whole
         matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         matrix.convert(PETSc.Mat.Type.SBAIJ)  # the upper half, whose values MUMPS uses without a copy
         pc = PETSc.PC().create(MPI.COMM_SELF)
@@ -38,13 +42,13 @@ class SchurFactors:
         pc.setFactorSetUpSolverType()
         factor = pc.getFactorMatrix()
         factor.setMumpsIcntl(14, 60)  # room for pivots
-        if len(kept):
+        if condense:
             unknowns = PETSc.IS().createGeneral(kept.astype(PETSc.IntType), comm=MPI.COMM_SELF)
             _call("MatFactorSetSchurIS", factor, unknowns)
         pc.setUp()
         self._factors.append(factor)
         self._vectors.append(matrix.createVecs())
-        self._complements.append(_schur_complement(factor, len(kept)) if len(kept) else np.zeros((0, 0)))
+        self._complements.append(_schur_complement(factor, len(kept)) if condense else complement)
         # The factors do not need these, which would live until garbage is collected.
         pc.destroy()
         matrix.destroy()
@@ -79,6 +83,13 @@ class SchurFactors:
             factor.solve(b, x)
             result[part] = x.array_r
         return result
+
+
+def _dense(matrix: PETSc.Mat) -> Array:
+    dense = matrix.convert(PETSc.Mat.Type.DENSE, PETSc.Mat())
+    values = dense.getDenseArray().copy()
+    dense.destroy()
+    return values
 
 
 def _schur_complement(factor: PETSc.Mat, size: int) -> Array:

@@ -103,3 +103,67 @@ def test_too_many_candidates_fall_back_on_the_whole(comm: MPI.Comm, monkeypatch:
     reference = run(pressed(2), comm).history
     monkeypatch.setattr(linear, "CONDENSED_LIMIT", 20)
     assert_equal(run(pressed(2), comm).history, reference, EFFORT)
+
+
+FILMS: dict[str, dict[str, Any]] = {
+    "between blocks": {
+        "geometry": {
+            "shape": "stacked_blocks",
+            "height": [0.5, 0.02, 0.5],
+            "divisions": [[4, 4], [4, 1], [4, 4]],
+            "gap": 0.001,
+        },
+        "boundaries": [{"on": "bottom", "displacement": [0, 0]}, {"on": "top", "displacement": [0, -0.02]}],
+    },
+    "under a plane": {
+        "geometry": {"shape": "stacked_blocks", "height": [0.5, 0.1], "divisions": [[4, 4], [4, 1]]},
+        "boundaries": [{"on": "bottom", "displacement": [0, 0]}],
+        "planes": [{"name": "lid", "point": "top", "motion": [0, -0.02], "follows": "press"}],
+        "load": {"steps": [1], "factors": {"press": [1.0]}},
+    },
+    "nothing but films": {
+        "geometry": {"shape": "stacked_blocks", "height": [0.1] * 3, "divisions": [[4, 1], [3, 1], [5, 1]]},
+        "boundaries": [{"on": "bottom", "displacement": [0, 0]}, {"on": "top", "displacement": [0, -0.01]}],
+    },
+    "on a block that is held altogether": {
+        "geometry": {"shape": "stacked_blocks", "height": [0.5, 0.5], "divisions": [[3, 1], [4, 1]]},
+        "boundaries": [
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "lower_contact", "displacement": [0, 0]},
+            {"on": "top", "displacement": [0, -0.01]},
+        ],
+    },
+    "in three dimensions": {
+        "geometry": {
+            "shape": "stacked_blocks",
+            "height": [0.3, 0.02, 0.3],
+            "depth": 1.0,
+            "divisions": [[2, 2, 2], [3, 3, 1], [2, 2, 2]],
+        },
+        "boundaries": [{"on": "bottom", "displacement": [0, 0, 0]}, {"on": "top", "displacement": [0, 0, -0.01]}],
+    },
+}
+PRESSED = {"between blocks": -49.279, "under a plane": -89.714}  # force, uN/um, with a bulk that is not condensed
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("film", FILMS)
+@pytest.mark.parametrize("body", ["elastic", "pvdf"])
+def test_bodies_all_of_whose_nodes_may_touch(film: str, body: str, comm: MPI.Comm) -> None:
+    """Films one cell thick have no unknowns to eliminate, on ranks that hold nothing else, too."""
+    keys = {
+        **FILMS[film],
+        "mesh": {"cells": "tensor"},
+        "bodies": {"*": body},
+        "contact": {},
+        "solver": {"tolerance": 1e-11},
+        "output": {"fields": "none", "picture": False},
+    }
+    if body == "pvdf":
+        keys["boundaries"] = [keys["boundaries"][0] | {"potential": 0}, *keys["boundaries"][1:]]
+    condensed = run(Scene(**keys), comm).history
+    whole = run(Scene(**{**keys, "solver": {"tolerance": 1e-11, **WHOLE}}), comm).history
+    assert_equal(condensed, whole, EFFORT)
+    if body == "elastic" and film in PRESSED:
+        force = [value for name, value in condensed[-1].items() if name in ("force_y@top", "force_y@lid")]
+        assert force == pytest.approx([PRESSED[film]], abs=1e-3)
