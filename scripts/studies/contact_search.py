@@ -20,8 +20,9 @@ from mpi4py import MPI
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import Facets, facet_kind
 from piezomat.forms.contact.gap import point_normals
+from piezomat.meshes.contact.facet_bounds import near_points
 from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule, share_facets
-from piezomat.meshes.contact.local_search import closest_facets, near_points
+from piezomat.meshes.contact.local_search import closest_facets
 
 RADIUS, SPACING, GAP, MARGIN = 0.5, 2.0, 0.01, 0.3
 A_PLY, AROUND, ALONG = 10, 8, 10
