@@ -11,8 +11,9 @@ from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import Projection, point_normals, project
 from piezomat.forms.contact.integrals import SlavePoints
+from piezomat.meshes.contact.facet_bounds import TIE, near_points
 from piezomat.meshes.contact.global_search import CandidatePairs
-from piezomat.meshes.contact.local_search import closest_facets, near_points
+from piezomat.meshes.contact.local_search import closest_facets
 from piezomat.meshes.contact.self_contact import Candidates
 
 # A point keeps its master facet until its projection has left it by a share of the facet, the projection tolerance.
@@ -55,6 +56,7 @@ class ClosestPoints:
     facet (p,): master facet, -1 without a closest point
     xi (p, t): the closest point's coordinates in its facet
     overshoot (p,): share of the facet by which the projection was outside it when found, for points without contact
+    apart (p,): whether the point was not behind its master facet at the last update
     distance_bound (p,): at the last search, um
     motion (p,): how much nearer things may have come by the last search everywhere, um; it grows from search to search
     """
@@ -94,7 +96,7 @@ class ClosestPoints:
         count = len(self.near)
         self.facet = np.full(count, -1)
         self.xi = np.zeros((count, facets.kind.dim))
-        self.overshoot = np.zeros(count)
+        self.overshoot, self.apart = np.zeros(count), np.zeros(count, bool)
         self.distance_bound, self.motion = np.zeros((2, count))
 
     def add_motion(self, motions: Array) -> None:
@@ -122,7 +124,10 @@ class ClosestPoints:
             self.xi[have] = projection.xi
             # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
             outside = np.minimum(self.overshoot[have] + PROJECTION_TOLERANCES[0][1], FINAL_PROJECTION_TOLERANCE)
-            left = have[kind.overshoot(projection.xi) > np.maximum(limits.projection_tolerance, outside)]
+            beyond = kind.overshoot(projection.xi)
+            # A point that gets behind the end of its facet may be beside the body: the search knows.
+            entering = self.apart[have] & (projection.gap < 0.0) & (beyond > -TIE)
+            left = have[(beyond > np.maximum(limits.projection_tolerance, outside)) | entering]
             # Something else may have come nearer than a closest point without contact.
             apart = projection.gap > limits.interaction_range
             bound[have] = np.where(apart, np.minimum(projection.gap, limits.detection_range), -np.inf)
@@ -134,6 +139,7 @@ class ClosestPoints:
         points = points[projected]
         projection = self._project(position, points, projected)
         self.xi[projected] = projection.xi
+        self.apart[projected] = projection.gap >= 0.0
         return projected, points, projection
 
     def _project(self, position: Array, points: Array, some: Integers) -> Projection:
@@ -146,9 +152,10 @@ class ClosestPoints:
         """Find new master facets for the `lost` ones of the near points."""
         facets, kind = self.facets, self.facets.kind
         own = self.points.facet[self.near[lost]]
-        normals = np.zeros_like(points)
+        normals, middles = np.zeros((2, *points.shape))
         slave_nodes, xi = facets.slave_at(position, own), self.points.xi[self.near[lost]]
         normals[lost] = point_normals(kind, xi, slave_nodes, facets.slave.orientation[own])
+        middles[lost] = np.einsum("k,mkd->md", kind.shape(kind.middle[None])[0], slave_nodes)
         self.facet[lost], self.distance_bound[lost] = -1, -np.inf
         least = np.full(len(self.near), np.inf)  # gap of the closest point
         away = np.full(len(self.near), np.inf)  # least distance of its component, plus motion
@@ -165,7 +172,8 @@ class ClosestPoints:
                 pairs = same_part.of_points(self.points.facet[self.near[tried]])
             masters = Facets(kind, nodes, orientation, facets.master.key[targets])
             reach = max(limits.candidate_range, depth)
-            found, xi, off = closest_facets(points[tried], normals[tried], masters, reach, depth, pairs)
+            given = points[tried], normals[tried], masters, reach, depth, pairs, middles[tried], limits.depth
+            found, xi, off = closest_facets(*given)
             off += self.motion[tried] - limits.approach
             met = np.flatnonzero(found >= 0)
             gap = np.full(len(tried), np.inf)

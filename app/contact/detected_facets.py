@@ -10,9 +10,9 @@ from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.smoothing import rounded, spread
+from piezomat.meshes.contact.facet_bounds import near_pairs
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
 from piezomat.meshes.contact.load_balance import SlaveFacets
-from piezomat.meshes.contact.local_search import near_pairs
 from piezomat.meshes.contact.self_contact import Candidates, ReferenceFacets, SelfContact
 
 # How much further than its nodes a point of a facet may move, by the facet's order: Lebesgue's constant of triangles.

@@ -19,7 +19,7 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.smoothing import rounded, spread, to_corners
-from piezomat.meshes.contact.local_search import FACING
+from piezomat.meshes.contact.facet_bounds import FACING
 from piezomat.scene.sections import Plane
 
 

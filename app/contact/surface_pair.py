@@ -19,8 +19,8 @@ from piezomat.forms.contact.gap import project
 from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, first_changes
 from piezomat.forms.contact.laws.response import History, Response
 from piezomat.forms.contact.segments import nearest_points, segment_points
+from piezomat.meshes.contact.facet_bounds import facing_pairs
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
-from piezomat.meshes.contact.local_search import facing_pairs
 from piezomat.meshes.contact.overlap import deepest_overlap
 
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
@@ -117,8 +117,9 @@ class SurfacePair(ContactPoints):
             if same_part:
                 continue  # a surface lies on its own body
             slaves = np.unique(self.points.facet[self.near_points[rows]])
-            orientation = facets.master.orientation[targets]
-            deepest = max(deepest, deepest_overlap(facets.kind, centers[slaves], masters[targets], orientation))
+            orientation, key = facets.master.orientation[targets], facets.master.key[targets]
+            body = Facets(facets.kind, masters[targets], orientation, key)
+            deepest = max(deepest, deepest_overlap(centers[slaves], body))
         return deepest
 
     # --- Segments ---

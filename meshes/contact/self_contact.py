@@ -15,7 +15,7 @@ import numpy as np
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.gap import point_normals
-from piezomat.meshes.contact.local_search import FACING
+from piezomat.meshes.contact.facet_bounds import FACING
 
 # Geodesic distance, in thicknesses, up to which facets are neighbours. The path through a fiber to its far side is
 # shorter, although it follows edges of cells. The path along a fiber that bends until it touches itself is longer,

@@ -10,7 +10,7 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, Facets, facet_kind
 from piezomat.forms.contact.integrals import SlavePoints, quadrature_points
 from piezomat.forms.contact.segments import nearest_points, segment_points
-from piezomat.meshes.contact.local_search import facing_pairs
+from piezomat.meshes.contact.facet_bounds import facing_pairs
 
 REACH = 2.0  # every two facets of most tests are a pair
 KINDS = ["line2", "line3", "tri3", "tri6", "quad4", "quad9"]

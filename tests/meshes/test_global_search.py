@@ -13,11 +13,13 @@ from mpi4py import MPI
 from piezomat.contact import closest_points
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import point_normals, project
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.global_search import ONE_TO_ONE, CandidatePairs, Clusters, PairingRule, overlapping
 from piezomat.meshes.contact.local_search import brute_force_facets, closest_facets
+from piezomat.meshes.contact.signed_distance import NearestFacets, projected_pairs
 from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.histories import assert_equal
@@ -120,6 +122,81 @@ def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm
     near = chosen[(least[chosen] < p.law.interaction_range) & (partner[chosen] >= 0)]
     assert len(near) > 50
     np.testing.assert_array_equal(met[near], partner[near])
+
+
+def exhaustive_gaps(p: Any, position: Array, most: float) -> tuple[Array, Array, Integers]:
+    """Gap (m,), at most `most`, normal (m, d) and body (m,) that each point meets, out of all facets of all bodies.
+
+    A point meets the body that it is deepest in or nearest to, by the signed distance. Where the nearest facet of a
+    body does not face the point, the reference of the local search decides.
+    """
+    kind, facets, own = p.slave.kind, position[p.slave.nodes], p.points.facet
+    points = np.einsum("mk,mkd->md", p.points.shape, facets[own])
+    normals = point_normals(kind, p.points.xi, facets[own], p.slave.orientation[own])
+    middles = np.einsum("k,mkd->md", kind.shape(kind.middle[None])[0], facets[own])
+    body = p.rule.body(p.slave.component)
+    gap, meets, normal = np.full(len(points), np.inf), np.full(len(points), -1), np.zeros_like(points)
+    for other in np.unique(body):
+        theirs = np.flatnonzero(body == other)
+        masters = Facets(kind, facets[theirs], p.slave.orientation[theirs], p.slave.key[theirs])
+        center = masters.nodes.mean(axis=1)
+        radius = 1.2 * np.linalg.norm(masters.nodes - center[:, None], axis=2).max()
+        away = np.linalg.norm(points[:, None] - center, axis=2).min(axis=1)
+        rows = np.flatnonzero((body[own] != other) & (away < most + radius))
+        each, facet = (index.ravel() for index in np.indices((len(rows), len(theirs))))
+        seen = projected_pairs(points[rows], normals[rows], masters, each, facet)
+        nearest = NearestFacets.of(kind, seen, len(rows))
+        clear = nearest.faces & nearest.over & (nearest.gap > -p.depth)
+        found, there = np.where(clear, nearest.gap, np.inf), nearest.normal.copy()
+        some = np.flatnonzero(~clear)
+        given = points[rows[some]], normals[rows[some]], masters, p.depth
+        chosen = brute_force_facets(*given, middles=middles[rows[some]])
+        some, chosen = some[chosen >= 0], chosen[chosen >= 0]
+        closest = project(kind, points[rows[some]], masters.nodes[chosen], masters.orientation[chosen])
+        found[some], there[some] = closest.gap, closest.normal
+        nearer = (found < gap[rows]) & (found <= most)
+        gap[rows[nearer]], normal[rows[nearer]], meets[rows[nearer]] = found[nearer], there[nearer], other
+    return gap, normal, meets
+
+
+@pytest.mark.slow
+def test_contact_of_fifty_mats_is_that_of_an_exhaustive_search(rng: np.random.Generator) -> None:
+    """Gaps, bodies, and the forces of a penalty on every body, of fibers that are moved about."""
+    contacts, most = 0, 0.01
+    for seed in range(50):
+        shape = {
+            "shape": "mat",
+            "count": 3,
+            "width": 2.5,
+            "depth": 2.5,
+            "radius": 0.3,
+            "bend_radius": 2.0,
+            "seed": seed,
+        }
+        sizes = {"size": 0.5, "contact_size": 0.3, "cells": "tensor"}
+        scene = mat(geometry=shape | {"seed": seed}, mesh=sizes, contact={"electric_range": most})
+        model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
+        contact = interfaces_of(model)
+        part = model.parts.node_part
+        motion = np.zeros((len(model.parts.size), model.unknowns.block))
+        motion[:, :3] = 0.03 * rng.standard_normal((len(motion), 3))
+        state = model.coordinate_vector()
+        state.array[:] = (motion[part] + 0.003 * rng.standard_normal((len(part), 1))).ravel()
+        contact.detect(state, 0.3)
+        contact.evaluate(state, tangent=False)
+        (p,) = contact.surface_pairs
+        position = model.unknowns.coordinates + state.array_r.reshape(-1, model.unknowns.block)[:, :3]
+        gap, normal, meets = exhaustive_gaps(p, position, most)
+        found, there, near = np.full(len(gap), np.inf), np.zeros_like(normal), p.projection.gap <= most
+        found[p.projected_points[near]] = p.projection.gap[near]
+        there[p.projected_points[near]] = p.projection.normal[near]
+        np.testing.assert_allclose(found, gap, rtol=0.0, atol=1e-10)
+        pressure = [(p.points.weight * np.maximum(-g, 0.0))[:, None] * n for g, n in ((found, there), (gap, normal))]
+        for body in range(3):
+            ours, exhaustive = (each[meets == body].sum(axis=0) for each in pressure)
+            np.testing.assert_allclose(ours, exhaustive, rtol=0.0, atol=1e-10 * max(np.abs(exhaustive).max(), 1e-6))
+        contacts += int((gap < 0.0).sum())
+    assert contacts > 200
 
 
 @pytest.mark.mpi

@@ -16,6 +16,7 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import FacetKind, Facets, facet_kind
 from piezomat.forms.contact.gap import point_normals
 from piezomat.meshes.body_mesh import create
+from piezomat.meshes.contact.facet_bounds import near_points
 from piezomat.meshes.contact.global_search import (
     MASTER,
     ONE_TO_ONE,
@@ -25,7 +26,7 @@ from piezomat.meshes.contact.global_search import (
     GhostFacets,
     share_facets,
 )
-from piezomat.meshes.contact.local_search import END_TOLERANCE, brute_force_facets, closest_facets, near_points
+from piezomat.meshes.contact.local_search import END_TOLERANCE, brute_force_facets, closest_facets
 from piezomat.scene import Scene
 from tests.facets import KINDS, rotation
 

@@ -1,0 +1,137 @@
+"""Two blocks on each other, one shifted sideways: no contact but that of the two faces, with all sides searched."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from piezomat.contact.setup import interfaces_of
+from piezomat.discretization.model import Model
+from piezomat.meshes.body_mesh import create
+from piezomat.scene import Scene
+from piezomat.simulation import run
+
+PENALTY, OVERLAP = 1000.0, 1e-3
+OFFSETS = (0.0, 1e-6, 0.01, 0.11, 0.21, 0.33, 0.45, 0.5, 0.63, 0.77, 0.86, 0.95, 0.99, 1.0, 1.02)
+RATIOS = ((1, 1), (2, 3), (1, 4), (8, 3), (12, 5), (1, 20), (20, 1))
+METHODS: dict[str, dict[str, Any]] = {
+    "node": {"method": "node"},
+    "node, one pass": {"method": "node", "passes": 1},
+    "point": {"method": "point"},
+    "segment": {"method": "segment"},
+    "point, smoothed": {"method": "point", "smoothing": True},
+    "segment, smoothed": {"method": "segment", "smoothing": True},
+}
+
+
+def blocks(dim: int, divisions: tuple[int, int], method: str, **changes: Any) -> Scene:
+    """Two unit blocks with so many cells a side below and above."""
+    sides = {"divisions": [[count] * dim for count in divisions], "height": [1.0, 1.0]}
+    keys: dict[str, Any] = {
+        "geometry": {"shape": "stacked_blocks", **sides} | ({"depth": 1.0} if dim == 3 else {}),
+        "mesh": {"cells": "tensor"},
+        "bodies": {"lower": "elastic", "upper": "elastic"},
+        "boundaries": [{"on": "bottom", "displacement": [0.0] * dim}],
+        "contact": METHODS[method] | {"normal_penalty": PENALTY},
+        "output": {"fields": "none", "picture": False},
+    }
+    return Scene(**{**keys, **changes})
+
+
+def forces(scene: Scene, comm: MPI.Comm, places: list[tuple[float, float]]) -> list[np.ndarray]:
+    """Force (d,) of contact on the upper block at each offset and gap. Collective."""
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    contact = interfaces_of(model)
+    state, dim = model.coordinate_vector(), model.dim
+    upper = model.parts.node_part[: model.unknowns.owned] == 1
+    found = []
+    for offset, gap in places:
+        motion = np.zeros((len(upper), model.unknowns.block))
+        motion[upper, 0], motion[upper, dim - 1] = offset, gap
+        state.array[:] = motion.ravel()
+        contact.detect(state, max(contact.least_search_radius(), 0.7))
+        residual = model.new_vector()
+        contact.add_residual(contact.evaluate(state, tangent=False), residual)
+        force = -residual.array_r.reshape(len(upper), -1)[upper, :dim].sum(axis=0)
+        assert contact.penetration() <= max(-gap, 0.0) + 1e-12, (offset, gap)
+        found.append(comm.allreduce(force))
+    return found
+
+
+CASES = [(2, divisions, order, "tensor") for divisions in RATIOS for order in (1, 2)]
+CASES += [(2, (4, 3), 1, "simplex"), (2, (4, 3), 2, "simplex"), (3, (2, 3), 1, "tensor"), (3, (1, 4), 1, "simplex")]
+CASES += [(3, (2, 1), 2, "simplex")]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("dim", "divisions", "order", "cells"), CASES)
+def test_nothing_but_the_faces_press(
+    dim: int, divisions: tuple[int, int], order: int, cells: str, comm: MPI.Comm
+) -> None:
+    """Nothing at a gap; where they overlap, the force on what is covered, as well as half facets can tell."""
+    places = [(offset, gap) for offset in OFFSETS for gap in (0.09, 0.02, 1e-3, -OVERLAP)]
+    for method in METHODS:
+        if (dim == 3 and method not in ("node", "point")) or ("smoothed" in method and order == 2):
+            continue
+        scene = blocks(dim, divisions, method, mesh={"order": order, "cells": cells, "size": 1.0})
+        for (offset, gap), force in zip(places, forces(scene, comm, places), strict=True):
+            if gap > 0.0:
+                assert np.abs(force).max() < 1e-12, (method, offset, gap)
+                continue
+            np.testing.assert_allclose(force[:-1], 0.0, atol=1e-12)
+            covered = max(1.0 - offset, 0.0)
+            coarsest = max(1.0 / count for count in divisions)
+            error = abs(force[-1] / (PENALTY * OVERLAP) - covered)
+            # Segments miss what is nearer to the edge than it is deep.
+            assert error <= (1.01 * OVERLAP if method == "segment" and dim == 2 else 0.5 * coarsest + 1e-9), (
+                method,
+                offset,
+            )
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_blocks_that_are_apart_do_not_push(kinematics: str, order: int, comm: MPI.Comm) -> None:
+    """One slides above the other, 0.02 apart, by half its width in one step and then in small ones."""
+    for method in METHODS:
+        if "smoothed" in method and order == 2:
+            continue
+        scene = blocks(
+            2,
+            (2, 3),
+            method,
+            geometry={"shape": "stacked_blocks", "height": [1, 1], "divisions": [[2, 2], [3, 3]], "gap": 0.02},
+            mesh={"order": order, "cells": "tensor"},
+            model={"kinematics": kinematics},
+            boundaries=[
+                {"on": "bottom", "displacement": [0, 0]},
+                {"on": "top", "displacement": [1, 0], "follows": "slide"},
+            ],
+            load={"steps": [1, 3], "factors": {"slide": [0.45, 0.6]}},
+        )
+        for row in run(scene, comm).history:
+            assert row["contact_area@lower-upper"] == 0.0, (method, row["step"])
+            assert abs(row["force_x@top"]) < 1e-9 and abs(row["force_y@top"]) < 1e-9, (method, row["step"])
+
+
+def test_a_block_that_slides_off_another_loses_its_force() -> None:
+    """The force falls as the overlap does, with all sides searched as with the two faces alone."""
+    scene = blocks(
+        2,
+        (12, 12),
+        "point",
+        geometry={"shape": "stacked_blocks", "height": [1, 1], "divisions": [[12, 12], [5, 5]]},
+        boundaries=[
+            {"on": "bottom", "displacement": [0, 0]},
+            {"on": "top", "displacement": ["free", -0.02], "follows": "press"},
+            {"on": "top", "displacement": [1.0, "free"], "follows": "slide"},
+        ],
+        contact={},
+        load={"steps": [1, 40], "factors": {"press": [1.0, 1.0], "slide": [0.0, 0.8]}},
+    )
+    force = [-row["force_y@top"] for row in run(scene, MPI.COMM_SELF).history[::5]]
+    np.testing.assert_allclose(force, [28.1, 27.2, 25.1, 22.4, 19.4, 16.5, 13.8, 11.2, 8.9], atol=0.06)
