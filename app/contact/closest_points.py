@@ -118,23 +118,28 @@ class ClosestPoints:
         points = np.einsum("mk,mkd->md", self.points.shape[self.near], facets.slave_at(position, own))
         bound = np.full(len(self.near), limits.detection_range)  # what comes nearer than this is to be seen
         have = np.flatnonzero(self.facet >= 0)
-        left = np.zeros(0, np.int64)
+        left = entering = np.zeros(0, np.int64)
         if len(have):
             projection = self._project(position, points[have], have)
             self.xi[have] = projection.xi
             # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
             outside = np.minimum(self.overshoot[have] + PROJECTION_TOLERANCES[0][1], FINAL_PROJECTION_TOLERANCE)
             beyond = kind.overshoot(projection.xi)
+            leaves = beyond > np.maximum(limits.projection_tolerance, outside)
+            left = have[leaves]
             # A point that gets behind the end of its facet may be beside the body: the search knows.
-            entering = self.apart[have] & (projection.gap < 0.0) & (beyond > -TIE)
-            left = have[(beyond > np.maximum(limits.projection_tolerance, outside)) | entering]
+            entering = have[self.apart[have] & (projection.gap < 0.0) & (beyond > -TIE) & ~leaves]
             # Something else may have come nearer than a closest point without contact.
             apart = projection.gap > limits.interaction_range
             bound[have] = np.where(apart, np.minimum(projection.gap, limits.detection_range), -np.inf)
         lost = ~(self.distance_bound > self.motion + bound) & limits.everywhere  # true for what is not a number
-        lost[left] = True
+        lost[left] = lost[entering] = True
         if lost.any():
+            facet, xi = self.facet[entering], self.xi[entering]
             self._search(points, position, lost, limits)
+            # One that is in the body keeps its facet. At the neighbouring one the end of a solve would be another.
+            inside = self._behind(position, points, entering, facet)
+            self.facet[entering[inside]], self.xi[entering[inside]] = facet[inside], xi[inside]
         projected = np.flatnonzero(self.facet >= 0)
         points = points[projected]
         projection = self._project(position, points, projected)
@@ -147,6 +152,13 @@ class ClosestPoints:
         facet = self.facet[some]
         nodes, orientation = self.facets.master_at(position, facet), self.facets.master.orientation[facet]
         return project(self.facets.kind, points, nodes, orientation, self.xi[some])
+
+    def _behind(self, position: Array, points: Array, some: Integers, facet: Integers) -> Booleans:
+        """Whether some near points (r,) are behind their master facets, of the same components as facets (r,)."""
+        behind, component = self.facet[some] >= 0, self.facets.master.component
+        behind &= component[self.facet[some]] == component[facet]
+        behind[behind] = self._project(position, points[some[behind]], some[behind]).gap < 0.0
+        return behind
 
     def _search(self, points: Array, position: Array, lost: Booleans, limits: SearchLimits) -> None:
         """Find new master facets for the `lost` ones of the near points."""

@@ -41,6 +41,12 @@ def blocks(dim: int, divisions: tuple[int, int], method: str, **changes: Any) ->
     return Scene(**{**keys, **changes})
 
 
+def two_faces(scene: Scene) -> Scene:
+    """The same with the two faces alone searched."""
+    contact = scene.contact.model_copy(update={"pairs": [["lower_contact", "upper_contact"]]})
+    return scene.model_copy(update={"contact": contact})
+
+
 def forces(scene: Scene, comm: MPI.Comm, places: list[tuple[float, float]]) -> list[np.ndarray]:
     """Force (d,) of contact on the upper block at each offset and gap. Collective."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
@@ -61,9 +67,11 @@ def forces(scene: Scene, comm: MPI.Comm, places: list[tuple[float, float]]) -> l
     return found
 
 
-CASES = [(2, divisions, order, "tensor") for divisions in RATIOS for order in (1, 2)]
-CASES += [(2, (4, 3), 1, "simplex"), (2, (4, 3), 2, "simplex"), (3, (2, 3), 1, "tensor"), (3, (1, 4), 1, "simplex")]
-CASES += [(3, (2, 1), 2, "simplex")]
+CASES: list[Any] = [(2, (2, 3), 1, "tensor"), (2, (12, 5), 1, "tensor"), (2, (1, 4), 2, "tensor")]
+CASES += [(2, (4, 3), 1, "simplex"), (3, (2, 3), 1, "tensor"), (3, (2, 1), 2, "simplex")]
+REST = [(2, divisions, order, "tensor") for divisions in RATIOS for order in (1, 2)]
+REST += [(2, (4, 3), 2, "simplex"), (3, (1, 4), 1, "simplex")]
+CASES += [pytest.param(*case, marks=pytest.mark.slow) for case in REST if case not in CASES]
 
 
 @pytest.mark.mpi
@@ -71,25 +79,26 @@ CASES += [(3, (2, 1), 2, "simplex")]
 def test_nothing_but_the_faces_press(
     dim: int, divisions: tuple[int, int], order: int, cells: str, comm: MPI.Comm
 ) -> None:
-    """Nothing at a gap; where they overlap, the force on what is covered, as well as half facets can tell."""
-    places = [(offset, gap) for offset in OFFSETS for gap in (0.09, 0.02, 1e-3, -OVERLAP)]
+    """Nothing at a gap; where they overlap, the force on what is covered, as exactly as with the two faces alone."""
+    apart = [(offset, gap) for offset in OFFSETS for gap in (0.09, 0.02, 1e-3)]
+    pressed = [(offset, -OVERLAP) for offset in OFFSETS]
+    covered = np.maximum(1.0 - np.array(OFFSETS), 0.0)
     for method in METHODS:
         if (dim == 3 and method not in ("node", "point")) or ("smoothed" in method and order == 2):
             continue
         scene = blocks(dim, divisions, method, mesh={"order": order, "cells": cells, "size": 1.0})
-        for (offset, gap), force in zip(places, forces(scene, comm, places), strict=True):
-            if gap > 0.0:
-                assert np.abs(force).max() < 1e-12, (method, offset, gap)
-                continue
-            np.testing.assert_allclose(force[:-1], 0.0, atol=1e-12)
-            covered = max(1.0 - offset, 0.0)
-            coarsest = max(1.0 / count for count in divisions)
-            error = abs(force[-1] / (PENALTY * OVERLAP) - covered)
-            # Segments miss what is nearer to the edge than it is deep.
-            assert error <= (1.01 * OVERLAP if method == "segment" and dim == 2 else 0.5 * coarsest + 1e-9), (
-                method,
-                offset,
-            )
+        for place, force in zip(apart, forces(scene, comm, apart), strict=True):
+            assert np.abs(force).max() < 1e-12, (method, place)
+        force = np.array(forces(scene, comm, pressed)) / (PENALTY * OVERLAP)
+        np.testing.assert_allclose(force[:, :-1], 0.0, atol=1e-12)
+        alone = np.array(forces(two_faces(scene), comm, pressed)) / (PENALTY * OVERLAP)
+        error = np.abs(force[:, -1] - covered)
+        # Points at an edge press only partly: nodes on it stand for what is beside the block, too. The two faces alone
+        # are no reference at offsets from 1 on, where the nodes at the edge still press.
+        accuracy = np.abs(alone[:, -1] - covered)[covered > 0.0].max()
+        # What is nearer to the edge than it is deep may be on the other block's side.
+        assert (error <= accuracy + 1.01 * OVERLAP).all(), (method, error, accuracy)
+        assert (force[:, -1] <= alone[:, -1] + 1e-9).all(), method
 
 
 @pytest.mark.mpi
@@ -133,5 +142,9 @@ def test_a_block_that_slides_off_another_loses_its_force() -> None:
         contact={},
         load={"steps": [1, 40], "factors": {"press": [1.0, 1.0], "slide": [0.0, 0.8]}},
     )
-    force = [-row["force_y@top"] for row in run(scene, MPI.COMM_SELF).history[::5]]
-    np.testing.assert_allclose(force, [28.1, 27.2, 25.1, 22.4, 19.4, 16.5, 13.8, 11.2, 8.9], atol=0.06)
+    both = (run(each, MPI.COMM_SELF).history for each in (scene, two_faces(scene)))
+    force, alone = (np.array([-row["force_y@top"] for row in history]) for history in both)
+    # The faces alone let points press that are nearer to the edge than they are deep, or beyond it: 0.06 of 28.
+    np.testing.assert_allclose(force, alone, rtol=0.0, atol=0.07)
+    expected = [28.1, 27.2, 25.1, 22.4, 19.4, 16.6, 13.8, 11.3, 8.9]
+    np.testing.assert_allclose(force[::5], expected, rtol=0.0, atol=0.051)
