@@ -137,9 +137,10 @@ class ClosestPoints:
         if lost.any():
             facet, xi = self.facet[entering], self.xi[entering]
             self._search(points, position, lost, limits)
-            # One that is in the body keeps its facet. At the neighbouring one the end of a solve would be another.
-            inside = self._behind(position, points, entering, facet)
-            self.facet[entering[inside]], self.xi[entering[inside]] = facet[inside], xi[inside]
+            # One that meets the body keeps its facet. At the neighbouring one the end of a solve would be another.
+            component, found = facets.master.component, self.facet[entering]
+            meets = (found >= 0) & (component[found] == component[facet])
+            self.facet[entering[meets]], self.xi[entering[meets]] = facet[meets], xi[meets]
         projected = np.flatnonzero(self.facet >= 0)
         points = points[projected]
         projection = self._project(position, points, projected)
@@ -152,13 +153,6 @@ class ClosestPoints:
         facet = self.facet[some]
         nodes, orientation = self.facets.master_at(position, facet), self.facets.master.orientation[facet]
         return project(self.facets.kind, points, nodes, orientation, self.xi[some])
-
-    def _behind(self, position: Array, points: Array, some: Integers, facet: Integers) -> Booleans:
-        """Whether some near points (r,) are behind their master facets, of the same components as facets (r,)."""
-        behind, component = self.facet[some] >= 0, self.facets.master.component
-        behind &= component[self.facet[some]] == component[facet]
-        behind[behind] = self._project(position, points[some[behind]], some[behind]).gap < 0.0
-        return behind
 
     def _search(self, points: Array, position: Array, lost: Booleans, limits: SearchLimits) -> None:
         """Find new master facets for the `lost` ones of the near points."""
