@@ -135,12 +135,13 @@ class ClosestPoints:
         lost = ~(self.distance_bound > self.motion + bound) & limits.everywhere  # true for what is not a number
         lost[left] = lost[entering] = True
         if lost.any():
-            facet, xi = self.facet[entering], self.xi[entering]
+            facet, xi, overshoot = (kept[entering] for kept in (self.facet, self.xi, self.overshoot))
             self._search(points, position, lost, limits)
             # One that meets the body keeps its facet. At the neighbouring one the end of a solve would be another.
             component, found = facets.master.component, self.facet[entering]
             meets = (found >= 0) & (component[found] == component[facet])
-            self.facet[entering[meets]], self.xi[entering[meets]] = facet[meets], xi[meets]
+            stay = entering[meets]
+            self.facet[stay], self.xi[stay], self.overshoot[stay] = facet[meets], xi[meets], overshoot[meets]
         projected = np.flatnonzero(self.facet >= 0)
         points = points[projected]
         projection = self._project(position, points, projected)
