@@ -92,6 +92,6 @@ def test_a_table_of_fibers_too_long_for_its_cells(tmp_path: Path) -> None:
     (tmp_path / "fibers.csv").write_text("fiber,x,y,z,radius\na,0,0,0,0.5\na,50000,0,0,0.5\n", encoding="utf-8")
     given = {"geometry": {"shape": "fibers", "file": tmp_path / "fibers.csv"}, "bodies": {"*": "pvdf"}}
     given["boundaries"] = [{"on": "ends", "displacement": [0, 0, 0]}]
-    assert Scene(**given, mesh={"size": 10.0}).geometry.bodies == ("a",)
+    assert Scene(**given, mesh={"size": 10.0}).geometry.bodies() == ("a",)
     with pytest.raises(SceneError, match=r"mesh.contact_size: found about .* cells"):
         Scene(**given, mesh={"size": 0.3, "contact_size": 0.02})
