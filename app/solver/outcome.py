@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 FAR = 0.1  # relative residual at which a state is far from any equilibrium
 # Iterations far from equilibrium, in one solve, after which rounding may pick where they lead. Shipped scenes take at
-# most 3; the tips of a C that are driven past each other took 12 to 21, and ended elsewhere on two ranks.
-WANDERING = 10
+# most 3; the tips of a C that are driven past each other take 8, took up to 21, and ended elsewhere on two ranks.
+WANDERING = 6
 ERRATIC = (
     "of several equilibria rounding may have picked one in steps {steps}: Newton's method wandered far from any before "
     "it converged; take smaller steps, or compare runs on different numbers of ranks"
