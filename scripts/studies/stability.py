@@ -30,7 +30,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from mpi4py import MPI
 
 from scripts.studies import tables
-from scripts.studies.stability_maps import MAPS, Map
+from scripts.studies.stability_map import Map
+from scripts.studies.stability_maps import MAPS
 from scripts.studies.stability_methods import METHODS
 
 COLUMNS = ["method", "x", "y", "outcome", "error", "newton", "cutbacks", "seconds", "reason"]

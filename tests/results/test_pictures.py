@@ -205,8 +205,8 @@ def test_picture_is_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert picture.shape[0] > 1000 and picture.shape[1] > 1500
     before = (tmp_path / "picture.png").read_bytes()
 
-    def half(self: Figure, path: Path, **options: Any) -> None:
-        path.write_bytes(b"half")
+    def half(self: Figure, file: Any, **options: Any) -> None:
+        file.write(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Figure, "savefig", half)
