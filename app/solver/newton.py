@@ -26,7 +26,7 @@ from piezomat.solver.convergence import Convergence
 from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
 from piezomat.solver.linear import linear_solver
-from piezomat.solver.options import SolverOptions
+from piezomat.solver.options import SolverOptions, callback_errors
 from piezomat.solver.outcome import FAR, NewtonReport, SolveError
 from piezomat.solver.start_value import StartValue
 from piezomat.solver.step_watch import StepWatch
@@ -131,7 +131,7 @@ class Newton:
     def _iterate(self) -> None:
         """Newton's iterations from the present state to convergence, failure, or the end of the search radius."""
         self.snes.setJacobian(self._tangent_at, *self.linear.operators)
-        with self._timed_linear_solve:
+        with self._timed_linear_solve, callback_errors():
             self.snes.solve(None, self.problem.state)
         self._report.iterations += self.snes.getIterationNumber()
         self._report.krylov += self.snes.getLinearSolveIterations()

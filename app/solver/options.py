@@ -30,7 +30,7 @@ class SolverOptions:
     def __init__(self, own: dict[str, Any], chosen: dict[str, Any]) -> None:
         self.prefix = next(_prefixes)
         self._chosen = chosen
-        self._all = {self.prefix + name: value for name, value in {**own, **chosen}.items()}
+        self._all = {self.prefix + name: value for name, value in {**_kept(own, chosen), **chosen}.items()}
         database = PETSc.Options()
         for name, value in self._all.items():
             database[name] = value
@@ -67,6 +67,30 @@ class SolverOptions:
         used = ctypes.c_int()
         _library.PetscOptionsUsed(None, (self.prefix + name).encode(), ctypes.byref(used))
         return bool(used.value)
+
+
+def _kept(own: dict[str, Any], chosen: dict[str, Any]) -> dict[str, Any]:
+    """Those of our options that go with the choice: none of multigrid's where another preconditioner is chosen.
+
+    Since 3.22 PETSc refuses `pc_mg_levels` for "gamg".
+    """
+    other = [name for name in chosen if name.endswith("pc_type") and chosen[name] != own.get(name, chosen[name])]
+    gone = tuple(name.removesuffix("pc_type") + start for name in other for start in ("pc_mg_", "mg_"))
+    return {name: value for name, value in own.items() if not gone or not name.startswith(gone)}
+
+
+@contextmanager
+def callback_errors() -> Iterator[None]:
+    """Context in which an exception of a callback of PETSc is raised itself.
+
+    Since 3.22 petsc4py raises an error of its own, with that exception as its cause.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        if isinstance(error.__cause__, Exception):
+            raise error.__cause__ from None
+        raise
 
 
 def reason(error: PETSc.Error) -> str:
