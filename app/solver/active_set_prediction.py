@@ -92,7 +92,8 @@ class ActiveSetPrediction:
             problem.model.constraints.set_zero(self._right)
             with problem.timer("linear_solve"):
                 ksp.setOperators(*self.linear.operators)
-                ksp.solve(self._right, self._work)
+                with self.linear.callback_errors.raised():
+                    ksp.solve(self._right, self._work)
             change.axpy(1.0, self._work)
             report.krylov += ksp.getIterationNumber()
         best.copy(change)

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 from piezomat.assembly.problem import Problem
 from piezomat.discretization.model import Model
 from piezomat.scene.sections import Solver
+from piezomat.solver.callbacks import CallbackErrors, callback, not_numbers
 from piezomat.solver.condensation import Condensation
 from piezomat.solver.multigrid import Multigrid
 from piezomat.solver.outcome import SINGULAR
@@ -46,7 +47,8 @@ class Direct:
 
     condensation: the bulk condensed to the candidates of contact; None where the whole tangent is factorized.
     operators: the last tangent and the matrix that its preconditioner is made from, for PETSc's KSP.
-    failure: words for a linear solve that fails. The tolerances are those of a Krylov solver: none.
+    callback_errors: of what PETSc calls here. failure: words for a linear solve that fails.
+    The tolerances are those of a Krylov solver: none.
     """
 
     failure = SINGULAR
@@ -58,7 +60,8 @@ class Direct:
         chosen_by_scene = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
         constant = problem.contact is not None and problem.bulk.is_constant and problem.is_symmetric
         self.condensation: Condensation | None = Condensation(problem) if constant and not chosen_by_scene else None
-        self._operator = TangentOperator(problem)
+        self.callback_errors = CallbackErrors()
+        self._operator = TangentOperator(problem, self.callback_errors)
 
     def close(self) -> None:
         """Part from PETSc's objects, which hold this one, and free the factors. Ends its use."""
@@ -97,6 +100,7 @@ class Direct:
         matrix, _ = self.problem.tangent()
         self.operators = matrix, matrix
 
+    @callback(instead=not_numbers)
     def apply(self, pc: PETSc.PC, right: PETSc.Vec, result: PETSc.Vec) -> None:
         """Solve the condensed system: PETSc's shell preconditioner, an exact one."""
         self.condensation.solve(right, result)

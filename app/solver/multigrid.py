@@ -13,6 +13,7 @@ from piezomat.discretization.model import Model
 from piezomat.discretization.rigid_bodies import rigid_modes
 from piezomat.scene.sections import Solver
 from piezomat.solver import coarse_space
+from piezomat.solver.callbacks import CallbackErrors
 from piezomat.solver.tangent_operator import TangentOperator
 
 START_TOLERANCE = 0.1  # of the linear solve that gives Newton's method its start value
@@ -32,7 +33,7 @@ class Multigrid:
 
     operators: the last tangent and the matrix that its preconditioner is made from, for PETSc's KSP.
     start_tolerance, close_tolerance: relative tolerances of the start value and of a close solve; None where the scene
-    sets one for all. failure, condensation: see `Direct`; none here.
+    sets one for all. callback_errors, failure, condensation: see `Direct`; the last two none here.
     """
 
     failure = ""
@@ -43,7 +44,8 @@ class Multigrid:
 
     def __init__(self, problem: Problem, keys: Solver) -> None:
         self.problem = problem
-        self._operator = TangentOperator(problem)
+        self.callback_errors = CallbackErrors()
+        self._operator = TangentOperator(problem, self.callback_errors)
         self._rigid = _near_nullspace(problem.model, problem.comm)
         self._loose = problem.model.has_unconstrained_bodies
         self._interpolation: PETSc.Mat | None = None

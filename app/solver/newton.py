@@ -22,11 +22,12 @@ from piezomat.forms import fenicsx
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Solver
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
+from piezomat.solver.callbacks import callback, not_numbers, nothing
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
 from piezomat.solver.linear import linear_solver
-from piezomat.solver.options import SolverOptions, callback_errors
+from piezomat.solver.options import SolverOptions
 from piezomat.solver.outcome import FAR, NewtonReport, SolveError
 from piezomat.solver.start_value import StartValue
 from piezomat.solver.step_watch import StepWatch
@@ -43,6 +44,7 @@ class Newton:
 
     linear: how the tangent's systems are solved; snes: PETSc's Newton method, which calls the methods here;
     watch: the load step that the solves are for: it counts their iterations, and may end one;
+    callback_errors: exceptions on their way through PETSc;
     convergence, line_search, prediction, start_value, checks: the parts of an iteration that have modules of their own.
     """
 
@@ -51,6 +53,7 @@ class Newton:
         self.keys = keys
         self.watch = watch or StepWatch()
         self.linear = linear_solver(problem, keys)
+        self.callback_errors = self.linear.callback_errors
         self._options = SolverOptions({"snes_linesearch_type": "basic", **self.linear.options()}, keys.petsc)
         self.snes = PETSc.SNES().create(problem.comm)
         self.snes.setOptionsPrefix(self._options.prefix)
@@ -131,15 +134,17 @@ class Newton:
     def _iterate(self) -> None:
         """Newton's iterations from the present state to convergence, failure, or the end of the search radius."""
         self.snes.setJacobian(self._tangent_at, *self.linear.operators)
-        with self._timed_linear_solve, callback_errors():
+        with self._timed_linear_solve, self.callback_errors.raised():
             self.snes.solve(None, self.problem.state)
         self._report.iterations += self.snes.getIterationNumber()
         self._report.krylov += self.snes.getLinearSolveIterations()
         self.watch.end_step()
 
+    @callback(instead=not_numbers)
     def _residual_at(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
         self.line_search.residual(x, result)
 
+    @callback(instead=lambda *_: fenicsx.NOT_A_NUMBER)
     def _test_convergence(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """Converged, diverged (not a number, or contact beyond the search or the candidates), or neither."""
         contact, condensation = self.problem.contact, self.linear.condensation
@@ -165,6 +170,7 @@ class Newton:
             return PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return PETSc.SNES.ConvergedReason.ITERATING
 
+    @callback(instead=nothing)
     def _tangent_at(self, snes: PETSc.SNES, x: PETSc.Vec, operator: PETSc.Mat, matrix: PETSc.Mat) -> None:
         problem, linear = self.problem, self.linear
         if problem.contact is not None:
@@ -178,6 +184,7 @@ class Newton:
             snes.setJacobian(self._tangent_at, *linear.operators)
         self._timed_linear_solve.enter_context(problem.timer("linear_solve"))
 
+    @callback(instead=nothing)
     def _adapt_step(self, x: PETSc.Vec, step: PETSc.Vec) -> None:
         """Correct SNES's step (x becomes x - step) by predicted contact forces, and shorten it."""
         self._timed_linear_solve.close()

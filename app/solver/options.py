@@ -79,20 +79,6 @@ def _kept(own: dict[str, Any], chosen: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in own.items() if not gone or not name.startswith(gone)}
 
 
-@contextmanager
-def callback_errors() -> Iterator[None]:
-    """Context in which an exception of a callback of PETSc is raised itself.
-
-    Since 3.22 petsc4py raises an error of its own, with that exception as its cause.
-    """
-    try:
-        yield
-    except PETSc.Error as error:
-        if isinstance(error.__cause__, Exception):
-            raise error.__cause__ from None
-        raise
-
-
 def reason(error: PETSc.Error) -> str:
     """What PETSc says last about an error, on one line."""
     last = str(error).strip().splitlines()[-1]

@@ -70,7 +70,7 @@ class StartValue:
             # Eisenstat and Walker's rule is for Newton's steps, and would change the tolerance of this solve too.
             self.snes.setUseEW(False)
             ksp.setTolerances(rtol=tolerance)
-        with self.problem.timer("linear_solve"):
+        with self.problem.timer("linear_solve"), self.linear.callback_errors.raised():
             ksp.solve(self._right, self._change)
         self.snes.setUseEW(inexact)
         require_linear_solve(ksp, self.linear.failure)

@@ -5,16 +5,18 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.solver.callbacks import CallbackErrors, callback, not_numbers
 
 
 class TangentOperator:
     """The tangent of a problem's last linearization, its prescribed unknowns eliminated, as PETSc's shell matrix.
 
-    matrix: that shell. Every method is collective.
+    matrix: that shell; callback_errors: those of `mult`, which PETSc calls. Every method is collective.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, callback_errors: CallbackErrors) -> None:
         self.problem = problem
+        self.callback_errors = callback_errors
         self._free = problem.state.duplicate()
         sizes = problem.state.getSizes()
         self.matrix = PETSc.Mat().createPython((sizes, sizes), self, comm=problem.comm)
@@ -24,6 +26,7 @@ class TangentOperator:
         """Part from PETSc's matrix: each holds the other."""
         self.matrix.destroy()
 
+    @callback(instead=not_numbers)
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent times x."""
         constraints = self.problem.model.constraints
