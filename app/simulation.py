@@ -18,6 +18,7 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.short_circuit import short_circuit
 from piezomat.contact.start_checks import check_start
+from piezomat.contact.unseen_penetration import new_warnings
 from piezomat.contact.untouched_bodies import untouched_bodies
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
@@ -145,6 +146,7 @@ class _Session:
     def __post_init__(self) -> None:
         self.history: list[dict[str, Any]] = []
         self._touched: set[int] = set()
+        self._doubted: set[int] = set()
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
         self._scene_text = text_of(self.scene)
@@ -222,6 +224,8 @@ class _Session:
                     break
                 self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
+                for text in new_warnings(self.problem.contact, self._doubted):
+                    progress.warn(text)
                 if report.is_erratic:
                     erratic.append(str(step.number))
             if erratic:

@@ -179,6 +179,60 @@ def half_of_facing_halves(path: Path, *, size: float, radius: float, near: float
     _write(path, build)
 
 
+def bar_on_edge(path: Path, dimension: int, divisions: tuple[int, int], *, gap: float = 1e-9) -> None:
+    """In 2D a unit square `tool` that stands on its corner at the origin, over a block `base` of 2 x 1; quadrilaterals.
+
+    In 3D two square bars of length 2 that cross edge on edge at the origin, bricks. divisions: cells along a side of
+    the square, and along one unit of the block's sides or along each bar. Groups: tool, base; top, bottom; and in 2D
+    `left` and `right`, the tool's sides at the corner, and `face` of the block.
+    """
+    n, other = divisions
+    r = np.sqrt(0.5)
+
+    def square(corners: list[tuple[float, float, float]], counts: tuple[int, int]) -> tuple[int, list[int]]:
+        geo = gmsh.model.geo
+        points = [geo.addPoint(*corner) for corner in corners]
+        lines = [geo.addLine(points[i], points[(i + 1) % 4]) for i in range(4)]
+        for i, line in enumerate(lines):
+            geo.mesh.setTransfiniteCurve(line, counts[i % 2] + 1)
+        face = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        geo.mesh.setTransfiniteSurface(face)
+        geo.mesh.setRecombine(2, face)
+        return face, lines
+
+    def group(dim: int, members: list[int], name: str) -> None:
+        gmsh.model.geo.synchronize()
+        gmsh.model.addPhysicalGroup(dim, members, name=name)
+
+    def build() -> None:
+        if dimension == 2:
+            up = [(0.0, gap, 0.0), (r, r + gap, 0.0), (0.0, 2.0 * r + gap, 0.0), (-r, r + gap, 0.0)]
+            face, lines = square(up, (n, n))
+            group(2, [face], "tool")
+            for name, members in (("right", lines[:1]), ("left", lines[3:]), ("top", lines[1:3])):
+                group(1, members, name)
+            face, lines = square([(-1, -1, 0), (1, -1, 0), (1, 0, 0), (-1, 0, 0)], (2 * other, other))
+            group(2, [face], "base")
+            group(1, lines[:1], "bottom")
+            group(1, lines[2:3], "face")
+        else:
+            for name, side, axis, start in (
+                ("base", -1.0, (2.0, 0.0, 0.0), (-1.0, 0.0)),
+                ("tool", 1.0, (0.0, 2.0, 0.0), (0.0, -1.0)),
+            ):
+                across = np.array([0.0, 1.0]) if name == "base" else np.array([1.0, 0.0])
+                low = gap if name == "tool" else 0.0
+                places = [(0.0, 0.0), (r, r), (0.0, 2.0 * r), (-r, r)]
+                corners = [(*(np.array(start) + across * x), low + side * z) for x, z in places]
+                face, _ = square(corners, (n, n))
+                swept = gmsh.model.geo.extrude([(2, face)], *axis, numElements=[other], recombine=True)
+                group(3, [swept[1][1]], name)
+                group(2, [swept[3][1], swept[4][1]], "bottom" if name == "base" else "top")
+        gmsh.model.mesh.generate(dimension)
+
+    _write(path, build)
+
+
 def _mesh(dimension: int, size: str, order: int) -> None:
     field = gmsh.model.mesh.field
     number = field.add("MathEval")

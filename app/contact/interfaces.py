@@ -16,7 +16,7 @@ from piezomat.contact.pairs import Pairs
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.search import ContactSearch
 from piezomat.contact.seen_nodes import SeenNodes
-from piezomat.contact.surface_pair import SurfacePair
+from piezomat.contact.surface_pair import PenetratingNodes, SurfacePair
 from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import corner_kind
@@ -95,6 +95,7 @@ class Interfaces:
         nodes_per_pair = 2 * self.point_sets[0].slave.nodes.shape[1]
         self._none = {t: ContactTerms.none(nodes_per_pair, self.block_size, tangent=t) for t in (False, True)}
         self._plane_terms: list[ContactTerms] = []
+        self._nodes_inside: tuple[NodalState, list[PenetratingNodes]] | None = None
 
     # --- Search ---
 
@@ -327,6 +328,14 @@ class Interfaces:
     def penetration(self) -> float:
         """Deepest penetration of the last evaluation, um."""
         return self._deepest(-p.projection.gap for p in self.point_sets if p.projection is not None)
+
+    def penetrating_nodes(self) -> list[PenetratingNodes]:
+        """Nodes of this rank's slave facets that lie inside other bodies at the last evaluation. Not collective."""
+        if self._nodes_inside is None or self._nodes_inside[0] is not self.state:
+            given = self.pairs, self.state.position, 2.0 * self.last_penetration
+            found = [p.penetrating_nodes(*given) for p in self.surface_pairs]
+            self._nodes_inside = self.state, found
+        return self._nodes_inside[1]
 
     def penetration_in_facets(self) -> float:
         """Deepest penetration of the last evaluation in sizes of the facets that it is found on."""

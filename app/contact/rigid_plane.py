@@ -161,6 +161,12 @@ class RigidPlane(ContactPoints):
         """Number (r,) that the plane has in the results, for each point."""
         return np.full(len(self.projected_points), pairs.first_plane + self.pair - len(pairs.listed))
 
+    def penetration_of_nodes(self, position: Array) -> float:
+        """Deepest penetration of the nodes of facets with near points, um, with the seen nodes at `position`."""
+        facet = np.unique(self.points.facet[self.near_points])
+        nodes = rounded(self.slave.kind, position[self.slave_nodes[facet]], self.slave.rounding[facet])
+        return float(-self._gap(nodes).min(initial=0.0))
+
     def _gap(self, points: Array) -> Array:
         return (points - self.start - self.offset) @ self.normal
 

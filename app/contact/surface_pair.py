@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from piezomat.contact.closest_points import ClosestPoints, SearchLimits
+from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, ClosestPoints, SearchLimits
 from piezomat.contact.contact_points import ContactPoints
 from piezomat.contact.detected_facets import DetectedFacets
 from piezomat.contact.nodal_state import NodalState
@@ -16,7 +16,7 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import project
-from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, first_changes
+from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, first_changes, nodes_of
 from piezomat.forms.contact.laws.response import History, Response
 from piezomat.forms.contact.segments import nearest_points, segment_points
 from piezomat.meshes.contact.facet_bounds import facing_pairs
@@ -26,6 +26,16 @@ from piezomat.meshes.contact.overlap import deepest_overlap
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
 CUT_DRIFT = 1e-3
+CLOSE = 0.25  # facets: a node may be inside the other body if a point of its facet has a gap below this
+
+
+@dataclass(frozen=True)
+class PenetratingNodes:
+    """Nodes inside another body: pair (k,), depth (k,), and size of their facets (k,), um."""
+
+    pair: Integers
+    depth: Array
+    facet_size: Array
 
 
 @dataclass(kw_only=True)
@@ -121,6 +131,24 @@ class SurfacePair(ContactPoints):
             body = Facets(facets.kind, masters[targets], orientation, key)
             deepest = max(deepest, deepest_overlap(centers[slaves], body))
         return deepest
+
+    def penetrating_nodes(self, pairs: Pairs, position: Array, depth: float) -> PenetratingNodes:
+        """Nodes of the facets with points in contact or nearly so that lie inside the other body.
+
+        position (n, d): of the seen nodes, at which the points are projected; depth: see `SearchLimits`.
+        """
+        points, size = self.points, np.zeros(len(self.slave))
+        rows = self.projected_points
+        size[points.facet] = self.facet_size
+        facets = np.unique(points.facet[rows[self.projection.gap < CLOSE * self.facet_size[rows]]])
+        nodes = nodes_of(self.slave.kind, facets)
+        depths = self.depth, self.self_depth
+        closest = ClosestPoints(self.facets, nodes, np.ones(len(nodes.facet), bool), depths, position, max(depths))
+        limits = SearchLimits(FINAL_PROJECTION_TOLERANCE, True, 0.0, 0.0, 0.0, depth, 0.0)
+        found, _, projection = closest.update(position, limits)
+        facet = nodes.facet[closest.near[found]]
+        pair, _ = self._pairs_of_facets(pairs, facet, closest.facet[found])
+        return PenetratingNodes(pair, -projection.gap, size[facet])
 
     # --- Segments ---
 
@@ -259,15 +287,18 @@ class SurfacePair(ContactPoints):
 
         Of a body and itself the first is the one with the smaller geodesic distance.
         """
-        rows = self.projected_points
+        return self._pairs_of_facets(pairs, self.points.facet[self.projected_points], self.master_facet)
+
+    def _pairs_of_facets(self, pairs: Pairs, facet: Integers, master_facet: Integers) -> tuple[Integers, Booleans]:
+        """The same of slave and master facets (r,)."""
         if pairs.named is not None:
-            return np.full(len(rows), self.pair), np.full(len(rows), self.first)
-        facet = self.points.facet[rows]
-        slave, master = self.rule.body(self.slave.component[facet]), self.rule.body(self.master_component())
+            return np.full(len(facet), self.pair), np.full(len(facet), self.first)
+        component = self.facets.master.component[master_facet]
+        slave, master = self.rule.body(self.slave.component[facet]), self.rule.body(component)
         first = slave < master
         if self.facets.self_contact is not None:
             same = np.flatnonzero(slave == master)
-            first[same] = self.facets.self_contact.precedes(facet[same], self.master_facet[same])
+            first[same] = self.facets.self_contact.precedes(facet[same], master_facet[same])
         return pairs.of_bodies(slave, master), first
 
     def numbers_in_results(self, pairs: Pairs) -> Integers:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,8 @@ class PairTotals:
 
     force (d,): on the first body, uN.
     area, bonded_area: where the gap is closed, and where adhesion has not broken, um2.
-    max_pressure (MPa), max_penetration (um), max_potential_jump (V, of points that touch or are bonded): 0 for none.
+    max_pressure (MPa), max_penetration (um, of points and of the slave's nodes), max_potential_jump (V, of points that
+    touch or are bonded): 0 for none.
     """
 
     force: Array
@@ -83,6 +84,10 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
             *total, touching, sticking = sums[of].sum(axis=0)
             points = PairTotals(np.array(total), touching, sticking, *largest[of].max(axis=0))
             mine[int(pair)] = mine.get(int(pair), none) + points
+    for nodes in contact.penetrating_nodes():
+        for pair in np.unique(nodes.pair):
+            deepest = float(nodes.depth[nodes.pair == pair].max())
+            mine[int(pair)] = mine.get(int(pair), none) + replace(none, max_penetration=deepest)
     everywhere: dict[int, PairTotals] = {}
     for part in contact.comm.allgather(mine):
         for pair, totals in part.items():
@@ -92,13 +97,13 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
 
 def totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     """Totals of a plane at the last evaluation. Collective."""
-    d, gap = contact.dim, plane.projection.gap
-    area = plane.points.area[plane.near_points]
+    d, area = contact.dim, plane.points.area[plane.near_points]
     closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
     sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
     pressure = -plane.response.slope * plane.points.weight[plane.near_points] / area
-    largest = np.array([pressure.max(initial=0.0), -gap.min(initial=0.0)])
+    deepest = max(-plane.projection.gap.min(initial=0.0), plane.penetration_of_nodes(contact.state.position))
+    largest = np.array([pressure.max(initial=0.0), deepest])
     largest = parallel.largest(contact.comm, largest)
     charge, touching, integral = sums[d:]
     mean = integral / touching if touching > 0.0 else float("nan")

@@ -178,7 +178,12 @@ PLANE = Group(
         Quantity("force_{axis}@{place}", "uN", "force that the plane exerts on the bodies", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area that touches the plane", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
-        Quantity("max_penetration@{place}", "um", "largest penetration", attrgetter("max_penetration")),
+        Quantity(
+            "max_penetration@{place}",
+            "um",
+            "largest penetration of contact points and of nodes",
+            attrgetter("max_penetration"),
+        ),
         Quantity("charge@{place}", "pC", "charge of an electrode", attrgetter("charge"), _electric),
         Quantity(
             "mean_potential@{place}",
@@ -201,7 +206,7 @@ PAIR = Group(
         Quantity(
             "max_penetration@{place}",
             "um",
-            "largest penetration, an error of the penalty: it should be small",
+            "largest penetration of contact points and of nodes, an error of the penalty: it should be small",
             attrgetter("max_penetration"),
         ),
         Quantity(

@@ -65,6 +65,13 @@ def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = Non
     return _points(kind, kind.nodes, share, share if multiplicity is None else 1.0 / multiplicity)
 
 
+def nodes_of(kind: FacetKind, facets: Integers) -> SlavePoints:
+    """The nodes of some facets (f,), without weights: places where a surface is looked at, not integrated."""
+    facet, place = (index.ravel() for index in np.indices((len(facets), len(kind.nodes))))
+    none = np.zeros(len(facet))
+    return SlavePoints(facets[facet], place, kind.nodes[place], kind.shape(kind.nodes)[place], none, none)
+
+
 def _points(kind: FacetKind, xi: Array, area: Array, weight: Array) -> SlavePoints:
     facets, places = weight.shape
     facet = np.repeat(np.arange(facets), places)
