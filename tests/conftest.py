@@ -3,7 +3,8 @@
 A test marked `mpi` is collective: it runs on one rank and, under mpirun, on any number of ranks. The guard
 makes every rank run the same tests, counts a test that failed on one rank as failed on all, shows that
 rank's traceback on rank 0, and ends the whole run when a rank has failed and the others wait for it. Tests
-without the mark are left out on more than one rank. Rank 0 alone writes.
+without the mark are left out on more than one rank. With --share-cases 3 and 4 ranks run half of a test's cases each.
+Rank 0 alone writes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import random
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator
+import zlib
+from collections import defaultdict
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +60,10 @@ def bare_environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith(launchers)}
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--share-cases", action="store_true", help="3 and 4 ranks run half of a test's cases each")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     launched = launched_ranks() or WORLD.size
@@ -73,10 +80,21 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if WORLD.size == 1:
         return
-    alone = [item for item in items if item.get_closest_marker("mpi") is None]
-    if alone:
-        config.hook.pytest_deselected(items=alone)
-        items[:] = [item for item in items if item.get_closest_marker("mpi") is not None]
+    chosen = [item.nodeid for item in items if item.get_closest_marker("mpi") is not None]
+    if config.option.share_cases and WORLD.size > 2:
+        chosen = half(chosen, WORLD.size % 2)
+    names = set(chosen)
+    config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in names])
+    items[:] = [item for item in items if item.nodeid in names]
+
+
+def half(names: Sequence[str], part: int) -> list[str]:
+    """Of each test that has several cases one half of them (part 0 or 1), mixed but always alike; all other tests."""
+    cases = defaultdict(list)
+    for name in names:
+        cases[name.partition("[")[0]].append(name)
+    mixed = [sorted(group, key=lambda name: zlib.crc32(name.encode())) for group in cases.values()]
+    return [name for group in mixed for name in (group[part::2] if len(group) > 1 else group)]
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

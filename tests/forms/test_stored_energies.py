@@ -22,7 +22,7 @@ def test_balance_over_a_cycle_of_pressing_and_pulling() -> None:
             {"on": "top", "displacement": [0, -0.02], "follows": "press"},
         ],
         contact={"adhesion": {"law": "bilinear", "strength": 20.0, "energy": 0.3}},
-        load={"steps": [60, 160], "factors": {"press": [1.0, -1.6]}},
+        load={"steps": [30, 80], "factors": {"press": [1.0, -1.6]}},
     )
     history = run(scene, MPI.COMM_SELF).history
     most = max(row["external_work"] for row in history)

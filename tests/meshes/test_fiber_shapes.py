@@ -53,9 +53,9 @@ def test_fibers_rest_on_each_other_and_do_not_overlap(name: str) -> None:
 
 
 def test_no_seed_of_a_mat_makes_fibers_overlap() -> None:
-    """Fifty mats of thirty fibers that bend: the worst took the most rounds of lifting."""
+    """Mats of thirty fibers that bend: of fifty seeds number 32 takes the most rounds of lifting."""
     box = {"width": 20.8, "depth": 20.8, "length": 6.0}
-    for seed in range(50):
+    for seed in range(28, 38):
         gap = Mat(count=30, seed=seed, bend_radius=1.5, **box).outcome().smallest_gap
         assert gap is None or gap > -1e-8, seed
 

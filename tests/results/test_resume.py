@@ -249,7 +249,7 @@ def test_killed_at_any_moment(tmp_path: Path, whole: Rows) -> None:
     for attempt in range(30):
         process = start(tmp_path, *(("resume", "out") if checkpoints(out) else ("run", "scene.toml", "--out", "out")))
         # Once at any moment from the start on, then within the steps or after them.
-        for _ in range(moment.choice((1, 2)) if attempt > 0 else 0):
+        for _ in range(moment.choice((2, 3)) if attempt > 0 else 0):
             process.stdout.readline()
         wait_until(process, time.monotonic() + moment.uniform(0.0, 0.05 if attempt > 0 else 3.0))
         process.kill()

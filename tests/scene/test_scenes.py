@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from mpi4py import MPI
 
 from piezomat import simulation
 from piezomat.results.fields import FieldOutput
+from piezomat.results.files import read_history
 from piezomat.scene import Scene
 from piezomat.scene import toml as scene_file
 from tests.conftest import bare_environment
@@ -89,13 +89,11 @@ def test_plan(name: str) -> None:
     assert scene.title in text and "unknowns" in text
     assert ("one linear solve" in text) == (name == "bimorph")
     assert ("no potential, since" in text) == (name == "blocks")
-
-
-def test_unknowns_in_the_headers() -> None:
-    for name in ("crossed_fibers", "fibers_2d", "own_mesh"):
-        said = int(re.search(r"# ([\d,]+) unknowns", header(name))[1].replace(",", ""))
-        planned = re.search(r"^unknowns +(\d+)", simulation.plan(Scene.load(name), MPI.COMM_WORLD), re.M)
-        assert int(planned[1]) == pytest.approx(said, rel=0.05), name  # gmsh's versions differ a little
+    said = re.search(r"# ([\d,]+) unknowns", header(name))
+    assert bool(said) == (name in ("crossed_fibers", "fibers_2d", "own_mesh"))
+    if said:
+        planned = int(re.search(r"^unknowns +(\d+)", text, re.M)[1])
+        assert planned == pytest.approx(int(said[1].replace(",", "")), rel=0.05)  # gmsh's versions differ a little
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -132,7 +130,7 @@ def test_fibers_stick_and_let_go(name: str, force: str) -> None:
 def test_stack_against_its_closed_form() -> None:
     layer = ref.Layer.of(ref.PVDF, 1.0)
     text = header("stack")
-    for row, voltage in zip(np.array(run("stack").history)[[3, 7]], (0.0, 1.0), strict=True):
+    for row, voltage in zip(np.array(short("stack"))[[3, 7]], (0.0, 1.0), strict=True):
         exact = ref.layer_stack([layer] * 2, -1e-3, voltage, 100 * layer.stiffness, 100 * layer.permittivity)
         pair = "lower_contact-upper_contact"
         assert row["mean_potential@top"] == pytest.approx(voltage)
@@ -225,6 +223,8 @@ def test_batch_job(tmp_path: Path) -> None:
     first = call(*command)
     assert first.returncode == 0, first.stderr
     assert "on 2 ranks" in first.stdout and first.stdout.count("step ") == 8
+    last = read_history(tmp_path / "results" / "history.csv")[-1]
+    assert last["force_y@top"] == pytest.approx(short("stack")[-1]["force_y@top"], rel=1e-8)
     # Done: not again. Without its end: resumed, from the last converged step.
     assert "is done" in call(*command).stdout
     (tmp_path / "results" / "summary.json").unlink()
@@ -237,12 +237,3 @@ def test_batch_job(tmp_path: Path) -> None:
     anew = call(*command, env={"RANKS": "1"})
     assert anew.returncode == 0 and "piezomat run" in anew.stdout and anew.stdout.count("step ") == 8
     assert call("bash", script).returncode == 2
-
-
-@pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun")
-def test_a_shipped_scene_on_two_ranks(tmp_path: Path, mpirun: Callable[..., subprocess.CompletedProcess[str]]) -> None:
-    done = mpirun(2, "-m", "app", "run", "stack", "--out", tmp_path, "--set", "output.picture=false", timeout=120)
-    assert done.returncode == 0, done.stderr
-    lines = (tmp_path / "history.csv").read_text(encoding="utf-8").splitlines()
-    last = dict(zip(lines[0].split(","), map(float, lines[-1].split(",")), strict=True))
-    assert last["force_y@top"] == pytest.approx(run("stack").history[-1]["force_y@top"], rel=1e-8)

@@ -57,8 +57,7 @@ def stress_error(scene: Scene, comm: MPI.Comm, tilt: float) -> float:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("passes", [1, 2])
-@pytest.mark.parametrize("tilt", [0.0, TILT])
+@pytest.mark.parametrize(("passes", "tilt"), [(1, 0.0), (2, TILT)])
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("cells", ["simplex", "tensor"])
 @pytest.mark.parametrize("divisions", FLAT, ids=str)
