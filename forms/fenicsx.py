@@ -41,9 +41,11 @@ NOT_A_NUMBER = _reasons.DIVERGED_FUNCTION_NANORINF if NEWEST else _reasons.DIVER
 for _handler in logging.getLogger().handlers:
     _handler.setLevel(logging.WARNING)
 # The form compiler reads options, such as a plug-in for the C compiler, from files of the home and the working folder,
-# which may be a stranger's: no files, as with PETSc and gmsh.
-for _module in (dolfinx.jit, ffcx.options if NEW else ffcx.parameters):
-    setattr(_module, "_load_options" if NEW else "_load_parameters", lambda: ({}, {}))
+# which may be a stranger's: no files, as with PETSc and gmsh. A process waits for a form that another one compiles, for
+# 10 s by default: too short for those of bricks where many runs start at once.
+JIT_TIMEOUT = 120
+for _module, _ours in ((dolfinx.jit, {"timeout": JIT_TIMEOUT}), (ffcx.options if NEW else ffcx.parameters, {})):
+    setattr(_module, "_load_options" if NEW else "_load_parameters", lambda ours=_ours: (ours, {}))
 # PETSc 3.22 ends with a list of unused options, such as those of a solver that no step needed.
 PETSc.Options()["options_left"] = "no"
 

@@ -8,10 +8,12 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import dolfinx.jit
 import pytest
 
 import piezomat
 from piezomat import environment
+from piezomat.forms import fenicsx
 
 ROOT = Path(__file__).parents[1]
 PINNED = Path(sys.prefix) / "debian.constraints"
@@ -73,3 +75,9 @@ def test_pip_keeps_to_them_whoever_configures_it(tmp_path: Path) -> None:
     assert told(*show) == "None\n"
     assert told(*show, PIP_CONSTRAINT="mine.txt").split() == ["mine.txt", uri]
     assert told(*show, PIP_CONSTRAINT=f"mine.txt {uri}").split() == ["mine.txt", uri]
+
+
+def test_a_run_waits_for_a_form_that_another_one_compiles() -> None:
+    """Forms of bricks take more than the 10 s that DOLFINx waits by default, where many compile at once."""
+    given = dolfinx.jit.get_options if fenicsx.NEW else dolfinx.jit.get_parameters
+    assert given()["timeout"] == fenicsx.JIT_TIMEOUT >= 60
