@@ -327,9 +327,9 @@ def test_fields(wanted: str, comm: MPI.Comm, shared_tmp_path: Path) -> None:
         status = np.concatenate([piece.point_data["status"] for piece in found])
         assert all({"normal", "potential_jump", "pair"} <= set(piece.point_data) for piece in found)
         row = finished.history[entry.step - 1]
-        # A node between two points is somewhat deeper than both.
+        # A node between two points is deeper than both.
         deepest = max(-gap.min(), 0.0)
-        assert deepest <= row["max_penetration@lower-upper"] <= 1.3 * deepest
+        assert deepest <= row["max_penetration@lower-upper"] <= 2.0 * deepest
         assert max(pressure.max(), 0.0) == pytest.approx(row["max_pressure@lower-upper"], rel=1e-12)
         assert np.array_equal(status == 1, gap <= 0.0)
 
