@@ -6,6 +6,7 @@ from fnmatch import fnmatchcase
 
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
+from piezomat.meshes.names import is_formula
 from piezomat.scene.data import SceneData, key_of
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
 from piezomat.scene.sections import SIDES, Boundary
@@ -15,8 +16,17 @@ OVERLAP = 0.1  # most that bodies may overlap at the start, as a share of the si
 
 def check(scene: SceneData) -> None:
     """Raise SceneError for the first thing in which the sections of a scene do not fit together."""
-    for part in (bodies, mesh, gap, orientations, boundaries, planes, contact, load):
+    for part in (names, bodies, mesh, gap, orientations, boundaries, planes, contact, load):
         part(scene)
+
+
+def names(scene: SceneData) -> None:
+    """Names at which a row of pairs.csv has its second cell are no formulas of a spreadsheet."""
+    found = [("bodies." + body, body) for body in scene.body_names]
+    found += [(f"planes[{index}].name", plane.name) for index, plane in enumerate(scene.planes)]
+    for key, name in found:
+        if is_formula(name):
+            raise SceneError(key, shown(name), "a name that no spreadsheet takes for a formula: none of = + - @ first")
 
 
 def bodies(scene: SceneData) -> None:

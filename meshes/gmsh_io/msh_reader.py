@@ -265,7 +265,7 @@ def _names(data: bytes) -> dict[tuple[int, int], str]:
             raise MeshError("section $PhysicalNames is damaged") from None
         if broken := breaking_character(text):
             raise MeshError(
-                f"the name of physical group {key[1]} of dimension {key[0]} holds {broken}, which breaks lines"
+                f"the name of physical group {key[1]} of dimension {key[0]} holds {broken}, which breaks or turns lines"
             )
         found[key] = text
     return found

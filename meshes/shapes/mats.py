@@ -234,7 +234,7 @@ class Fibers(FiberShape):
             except (KeyError, TypeError, ValueError):
                 raise self._wrong(f"line {line} is not a name, three coordinates and a radius > 0") from None
             if broken := breaking_character(row["fiber"]):
-                raise self._wrong(f"the name in line {line} holds {broken}, which breaks lines")
+                raise self._wrong(f"the name in line {line} holds {broken}, which breaks or turns lines")
             points.setdefault(row["fiber"], []).append(numbers)
         if not points:
             raise self._wrong("it lists no fibers")

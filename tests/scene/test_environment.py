@@ -84,10 +84,6 @@ def test_absurd_sizes_end_before_they_begin(scene: str, override: str, key: str)
     assert error.value.key == key and time.process_time() - start < 1.0
 
 
-def test_max_cells_raises_the_bound() -> None:
-    assert Scene.load("fibers_2d", ["mesh.contact_size=1e-5", "mesh.max_cells=10000000000"]).mesh.max_cells == 10**10
-
-
 def test_a_table_of_fibers_too_long_for_its_cells(tmp_path: Path) -> None:
     (tmp_path / "fibers.csv").write_text("fiber,x,y,z,radius\na,0,0,0,0.5\na,50000,0,0,0.5\n", encoding="utf-8")
     given = {"geometry": {"shape": "fibers", "file": tmp_path / "fibers.csv"}, "bodies": {"*": "pvdf"}}

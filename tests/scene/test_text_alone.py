@@ -12,8 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from piezomat import cli
 from piezomat.scene import Scene, SceneError
+from piezomat.solver.load_steps import Stepper
+from piezomat.solver.newton import Newton
 from tests.conftest import bare_environment
+from tests.fuzz import MESH, MESH_SCENE
 
 ROOT = Path(__file__).parents[2]
 SHORT = ["output.picture=false", "output.fields=none"]
@@ -131,3 +135,62 @@ def test_a_mesh_or_a_table_is_read_from_where_the_scene_says_and_quoted_no_furth
         (tmp_path / "scene.toml").write_text(scene)
         done = call(tmp_path, "plan", "scene.toml")
         assert done.returncode == 2 and "geometry.file" in done.stderr and "password" not in done.stderr
+
+
+@pytest.mark.parametrize("character", ["\n", "\r", "\0", "\x1b", "\x0b", "\x85", "\u2028", "\u202e", "\u2067"])
+def test_names_that_forge_a_line_of_a_table_a_log_or_a_terminal(character: str, tmp_path: Path) -> None:
+    name = f"a{character}b"
+    with pytest.raises(SceneError, match=r"planes\[0\]\.name"):
+        Scene.load("random_mat", [f"planes.0.name={json.dumps(name)}"])
+    assert refused_table(f'"{name}"', tmp_path).key == "geometry.file"
+    assert refused_mesh(name, tmp_path).key == "geometry.file"
+
+
+@pytest.mark.parametrize("first", ["=", "+", "-", "@"])
+def test_names_that_a_spreadsheet_takes_for_a_formula(first: str, tmp_path: Path) -> None:
+    name = f"{first}1+1"
+    with pytest.raises(SceneError, match=r"planes\[0\]\.name.*formula"):
+        Scene.load("random_mat", [f"planes.0.name={json.dumps(name)}"])
+    for error in (refused_table(name, tmp_path), refused_mesh(name, tmp_path)):
+        assert error.key == f"bodies.{name}" and "formula" in str(error)
+
+
+def refused_table(name: str, folder: Path) -> SceneError:
+    """The error of a table of fibers with this name."""
+    (folder / "x.csv").write_text(f"fiber,x,y,z,radius\n{name},0,0,0,1\n{name},9,0,0,1\n", newline="")
+    (folder / "scene.toml").write_text(
+        'geometry = { shape = "fibers", file = "x.csv" }\nmesh.size = 1\nbodies = { "*" = "elastic" }\n'
+        'boundaries = [{ on = "ends", displacement = [0, 0, 0] }]\n'
+    )
+    with pytest.raises(SceneError) as error:
+        Scene.load(folder / "scene.toml")
+    return error.value
+
+
+def refused_mesh(name: str, folder: Path) -> SceneError:
+    """The error of a mesh file with a body of this name."""
+    (folder / "x.msh").write_text(MESH.replace('"body"', f'"{name}"'), newline="")
+    (folder / "scene.toml").write_text(MESH_SCENE.replace("bodies.body", 'bodies."*"'))
+    with pytest.raises(SceneError) as error:
+        Scene.load(folder / "scene.toml")
+    return error.value
+
+
+def test_memory_and_time_are_bounded_as_long_as_the_scene_sets_no_bound_of_its_own() -> None:
+    with pytest.raises(SceneError, match=r"mesh\.contact_size: found about .* cells.*what the memory here holds"):
+        Scene.load("fibers_2d", ["mesh.contact_size=1e-5"])
+    theirs = 10**10
+    assert Scene.load("fibers_2d", ["mesh.contact_size=1e-5", f"mesh.max_cells={theirs}"]).mesh.max_cells == theirs
+
+
+def test_plan_makes_the_mesh_solves_nothing_and_writes_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def solve(*given: object, **more: object) -> None:
+        raise AssertionError("plan solves")
+
+    for solver in (Newton, Stepper):
+        monkeypatch.setattr(solver, "__init__", solve)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["plan", "stack"]) == 0
+    assert "cells" in capsys.readouterr().out and not list(tmp_path.iterdir())
