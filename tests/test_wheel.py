@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import LAUNCH, bare_environment
+from tests.conftest import bare_environment
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("app", "forms", "meshes")
@@ -39,7 +39,7 @@ print(piezomat.__file__, piezomat.__version__)
 
 def call(*command: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
     """A process that knows neither this one's MPI nor where the project lies."""
-    environment = {name: value for name, value in bare_environment().items() if name != "PYTHONPATH"} | LAUNCH
+    environment = {name: value for name, value in bare_environment().items() if name != "PYTHONPATH"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, **options)
     assert done.returncode == 0, done.stderr
     return done
@@ -108,11 +108,3 @@ def test_commands(installed: Path, elsewhere: Path) -> None:
     assert "results in one" in call(installed / "piezomat", *RUN, "one", cwd=elsewhere).stdout
     assert len(list(csv.DictReader((elsewhere / "one" / "history.csv").open()))) == 2
     assert '"properties"' in call(installed / "python", "-m", "piezomat", "schema", cwd=elsewhere).stdout
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun")
-def test_two_ranks(installed: Path, elsewhere: Path) -> None:
-    python = installed / "python"
-    call("mpirun", "-n", "2", python, "-m", "mpi4py", "-m", "piezomat", *RUN, "two", cwd=elsewhere)
-    assert len(list(csv.DictReader((elsewhere / "two" / "history.csv").open()))) == 2

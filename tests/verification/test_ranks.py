@@ -66,8 +66,8 @@ def halves(contact: dict[str, Any], cells: str, order: int) -> Scene:
     return Scene(**two_bodies({"shape": "facing_halves"}, mesh, contact, depth=0.75 * PRESS, load=load))
 
 
-def crossed(contact: dict[str, Any], order: int, **changes: Any) -> Scene:
-    mesh = {"size": 0.6 if order == 1 else 1.0, "contact_size": 0.2 if order == 1 else 0.8, "order": order}
+def crossed(contact: dict[str, Any], order: int, contact_size: float = 0.2, **changes: Any) -> Scene:
+    mesh = {"size": 0.6 if order == 1 else 1.0, "contact_size": contact_size if order == 1 else 0.8, "order": order}
     geometry = {"shape": "crossed_fibers", "length": 0.8}
     return Scene(**two_bodies(geometry, mesh, contact, **changes))
 
@@ -127,7 +127,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "bricks of order 2": lambda: bricks({"method": "node", "passes": 1}, 2),
     "segments": lambda: halves({"method": "segment", "adhesion": BILINEAR}, "simplex", 1),
     "segments of order 2": lambda: halves({"method": "segment", "passes": 1}, "tensor", 2),
-    "segments of tetrahedra": lambda: crossed({"method": "segment", "adhesion": CUTOFF}, 1, **floating()),
+    "segments of tetrahedra": lambda: crossed({"method": "segment", "adhesion": CUTOFF}, 1, 0.3, **floating()),
     "segments of bricks": lambda: bricks({"method": "segment", "passes": 1, "adhesion": BILINEAR}, 1),
     "smoothed": lambda: halves({"method": "point", "smoothing": True, "adhesion": BILINEAR}, "simplex", 1),
     "smoothed tetrahedra": lambda: crossed({"method": "point", "passes": 1, "smoothing": True}, 1, **floating()),

@@ -57,6 +57,11 @@ def stack(cells: str, order: int, divisions: list[list[int]], r: float, **contac
     )
 
 
+def penalties(comm: MPI.Comm) -> dict[int, tuple[float, ...]]:
+    """The penalties to try: on many ranks one, as they change numbers and not who computes what."""
+    return STACK if comm.size == 1 else {100: STACK[100]}
+
+
 def state(row: dict[str, Any], dim: int, pair: str) -> tuple[float, ...]:
     """Gap, jump, T33 and D3 of a history row of the stack, one um2 (um) wide."""
     stress = row[f"force_{'xyz'[dim - 1]}@top"]
@@ -81,7 +86,7 @@ def state(row: dict[str, Any], dim: int, pair: str) -> tuple[float, ...]:
 def test_a_stack_of_two_layers_is_exact_where_nodes_meet(
     comm: MPI.Comm, cells: str, order: int, divisions: list[list[int]], method: str, passes: int
 ) -> None:
-    for r, expected in STACK.items():
+    for r, expected in penalties(comm).items():
         scene = stack(cells, order, divisions, r, method=method, passes=passes)
         row = run(scene, comm).history[-1]
         np.testing.assert_allclose(state(row, scene.dimension, "lower-upper"), expected, rtol=1e-5)
@@ -100,7 +105,7 @@ def test_a_stack_of_two_layers_is_exact_where_nodes_meet(
 def test_a_stack_is_exact_in_one_pass_where_each_slave_facet_lies_on_one_master_facet(
     comm: MPI.Comm, cells: str, order: int, divisions: list[list[int]], method: str
 ) -> None:
-    for r, expected in STACK.items():
+    for r, expected in penalties(comm).items():
         pair = ["lower_contact", "upper_contact"]
         scene = stack(cells, order, divisions, r, method=method, passes=1, pairs=[pair])
         row = run(scene, comm).history[-1]
@@ -121,7 +126,7 @@ def test_a_stack_is_exact_in_one_pass_where_each_slave_facet_lies_on_one_master_
 def test_a_stack_of_segments_is_exact_whatever_the_meshes(
     comm: MPI.Comm, cells: str, order: int, divisions: list[list[int]], passes: int
 ) -> None:
-    for r, expected in STACK.items():
+    for r, expected in penalties(comm).items():
         scene = stack(cells, order, divisions, r, method="segment", passes=passes)
         row = run(scene, comm).history[-1]
         np.testing.assert_allclose(state(row, scene.dimension, "lower-upper"), expected, rtol=1e-5)
