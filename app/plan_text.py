@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from mpi4py import MPI
 
@@ -13,7 +11,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.scene.errors import named
 from piezomat.scene.scene import Scene
-from piezomat.scene.sections import Contact, Load, Plane, Solver
+from piezomat.scene.sections import Contact, Load, Solver
 from piezomat.solver.linear import direct_limit_3d, is_direct
 
 AXES = "xyz"
@@ -31,7 +29,8 @@ def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
         ("contact", _contact(scene.contact, model, contact)),
         *_electric(scene.contact, model, contact),
         ("adhesion", _adhesion(scene.contact)),
-        *_planes(scene.planes),
+        *_planes(scene),
+        *_electrodes(model),
         ("load", _load(scene.load)),
         ("solution", _solution(model, contact)),
         ("linear solver", _linear_solver(scene.solver, model)),
@@ -130,15 +129,30 @@ def _electric(keys: Contact | None, model: Model, contact: Interfaces | None) ->
     return [("electric contact", text)]
 
 
-def _planes(planes: Sequence[Plane]) -> list[tuple[str, str]]:
+def _planes(scene: Scene) -> list[tuple[str, str]]:
     notes = []
-    for plane in planes:
+    owner = {name: row.name for row in scene.electrodes for name in scene.members(row).planes}
+    for plane in scene.planes:
         kind = "insulator" if plane.potential is None else f"electrode at {plane.potential:g} V"
+        if plane.name in owner:
+            kind = f"of the electrode {owner[plane.name]}"
         if plane.potential_follows is not None:
             kind += f" times {plane.potential_follows}"
         moves = "at rest" if plane.motion is None else f"moves by {plane.motion}"
         notes.append(f"{plane.name} ({kind}, {moves}{f' times {plane.follows}' if plane.follows else ''})")
     return [("planes", ", ".join(notes))] if notes else []
+
+
+def _electrodes(model: Model) -> list[tuple[str, str]]:
+    notes = []
+    for e in model.constraints.electrodes:
+        row, nodes = e.electrode, model.comm.allreduce(len(e.nodes))
+        state = "open"
+        if row.potential is not None or row.charge is not None:
+            state = f"at {row.potential:g} V" if row.potential is not None else f"with {row.charge:g} pC"
+            state += f" times {row.follows}" if row.follows is not None else ""
+        notes.append(f"{row.name} ({state}, on {named(row.on)}: {nodes} nodes at one potential)")
+    return [("electrodes", ", ".join(notes))] if notes else []
 
 
 def _adhesion(contact: Contact | None) -> str:

@@ -7,6 +7,7 @@ import shlex
 import sys
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -22,9 +23,7 @@ from piezomat.contact.unseen_penetration import new_warnings
 from piezomat.contact.untouched_bodies import untouched_bodies
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
-from piezomat.meshes.body_mesh import BodyMesh, Partition, create
-from piezomat.meshes.gmsh_io.mesh_file import MeshFile
-from piezomat.meshes.gmsh_io.model import MeshError
+from piezomat.meshes.body_mesh import BodyMesh, Partition
 from piezomat.meshes.parallel import on_root
 from piezomat.meshes.shapes.mats import Fibers
 from piezomat.progress import Progress
@@ -37,9 +36,10 @@ from piezomat.results.files import OutputError, Results
 from piezomat.results.folder import CHECKPOINT, MESH, RunFolder
 from piezomat.results.quantities import columns, pair_columns, pair_rows, row
 from piezomat.results.ranks import described, load_per_rank
+from piezomat.results.run_mesh import mesh_of_run
 from piezomat.results.run_scene import text_of
 from piezomat.scene import Scene
-from piezomat.scene.errors import mesh_error, named
+from piezomat.scene.errors import named
 from piezomat.solver.description import describe
 from piezomat.solver.load_steps import Step, Stepper, StepReport, steps
 from piezomat.solver.newton import Newton
@@ -62,10 +62,12 @@ class Interrupted(RuntimeError):
 class Run:
     """A finished run.
 
-    history: a row for each load step, by column. model, problem: with the last state. bodies: the mesh.
+    history: a row for each load step, by column. capacitance: matrix of the electrodes at the end of each step, pC/V
+    (2D: per um of depth). model, problem: with the last state. bodies: the mesh.
     """
 
     history: list[dict[str, Any]]
+    capacitance: list[list[list[float]]]
     model: Model
     problem: Problem
     bodies: BodyMesh
@@ -99,7 +101,7 @@ def run(
         # Until the folder is the run's, the mesh has a temporary name there.
         saved = temporary_name(out / MESH) if owned is not None and not resume else None
         with timer("mesh"):
-            bodies = _mesh(scene, comm, out, resume, saved, partition)
+            bodies = mesh_of_run(scene, comm, out, resume=resume, save=saved, partition=partition)
         with timer("setup"):
             model = Model(scene, bodies)
             contact = interfaces_of(model)
@@ -123,14 +125,15 @@ def run(
             session.close()
             newton.close()
             problem.close()
-    return Run(session.history, model, problem, bodies)
+    return Run(session.history, session.capacitance, model, problem, bodies)
 
 
 @dataclass
 class _Session:
     """The load steps of a run and their results; without `out` nothing is written.
 
-    history: rows of the steps that have converged. last_step (int): number of the last of them, 0 for none.
+    history: rows of the steps that have converged. capacitance: matrices of the electrodes at the end of each.
+    last_step (int): number of the last of them, 0 for none.
     results: the files of the run, None without `out`.
     """
 
@@ -145,6 +148,7 @@ class _Session:
 
     def __post_init__(self) -> None:
         self.history: list[dict[str, Any]] = []
+        self.capacitance: list[list[list[float]]] = []
         self._touched: set[int] = set()
         self._doubted: set[int] = set()
         self.results = Results(self.out, self.comm) if self.out is not None else None
@@ -174,6 +178,7 @@ class _Session:
             restart.restore(stored, self.problem, self.stepper, self.balance)
             self.last_step = self._saved_step = stored.step
             self.history = [dict(row) for row in stored.scalars.history]
+            self.capacitance = [*stored.scalars.capacitance]
             self._mesh_digest = stored.scalars.mesh or on_root(
                 self.comm, lambda: restart.sha256(self.out / CHECKPOINT / MESH)
             )
@@ -265,7 +270,10 @@ class _Session:
             raise SolveError(f"in step {step.number} {found}")
 
     def _record(self, step: Step, report: StepReport, seconds: float) -> None:
-        self.history.append(row(self.problem, self.balance, step, report, seconds))
+        capacitance = cache(self.stepper.newton.capacitance)
+        self.history.append(row(self.problem, self.balance, step, report, seconds, capacitance))
+        if (matrix := capacitance()) is not None:
+            self.capacitance.append(matrix.tolist())
         self.last_step = step.number
         if self.problem.contact is not None:
             self._touched |= self.problem.contact.touching_bodies()
@@ -306,7 +314,6 @@ class _Session:
         with self.timer("output"):
             if self.history and self.scene.output.fields == "end":
                 self._write_fields()
-        cells = self.model.mesh.topology.index_map(self.model.dim).size_global
         loads = load_per_rank(self.problem)
         if self.comm.size > 1:
             log.info("%s", described(loads))
@@ -316,8 +323,9 @@ class _Session:
                 "converged": converged,
                 "reason": reason,
                 "dofs": self.model.unknowns.total,
-                "cells": cells,
+                "cells": self.model.mesh.topology.index_map(self.model.dim).size_global,
                 "bodies": list(self.model.bodies.bodies),
+                "capacitance": {"electrodes": self.model.electrode_names, "matrices": self.capacitance},
                 "timings": self.timer.timings(self.comm),
                 "shares": loads,
             }
@@ -348,6 +356,7 @@ class _Session:
                 self.stepper,
                 self.balance,
                 self.history,
+                self.capacitance,
                 self._scene_text,
                 self._mesh_digest,
             )
@@ -368,21 +377,8 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
     """What would be modelled and solved, and why; nothing is solved. Collective."""
     from piezomat.plan_text import plan_text
 
-    bodies = _mesh(scene, comm, None, False, None, None)
-    model = Model(scene, bodies)
+    model = Model(scene, mesh_of_run(scene, comm))
     return plan_text(scene, model, interfaces_of(model))
-
-
-def _mesh(
-    scene: Scene, comm: MPI.Comm, out: Path | None, resume: bool, save: Path | None, partition: Partition | None
-) -> BodyMesh:
-    geometry = MeshFile(file=out / CHECKPOINT / MESH) if resume else scene.geometry
-    try:
-        return create(comm, geometry, scene.sizes, save=save, partition=partition)
-    except MeshError as error:
-        if error.key == "out":
-            raise OutputError(f"cannot write results in {out}: {error}") from None
-        raise mesh_error(error) from None
 
 
 def _ranks(number: int) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import dolfinx
 import dolfinx.fem.petsc
+import numpy as np
 from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
+from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms.enthalpy import internal_form, stored_energies, tangent_form
 from piezomat.forms.evaluation import integral
 
@@ -30,7 +30,12 @@ class Bulk:
 
     def new_matrix(self) -> PETSc.Mat:
         """A matrix with the places of the tangent's entries."""
-        return dolfinx.fem.petsc.create_matrix(self._tangent_form)
+        matrix = dolfinx.fem.petsc.create_matrix(self._tangent_form)
+        if not self._model.unknowns.references:
+            return matrix
+        self.add_tangent(matrix)
+        matrix.assemble()  # without values it has no places
+        return with_reference_nodes(matrix, self._model.unknowns)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add the tangent at the trial state of the model to a matrix that is still to be assembled."""
@@ -38,7 +43,7 @@ class Bulk:
 
     def assemble_residual(self, result: PETSc.Vec) -> None:
         """result = the residual at the trial state of the model; not for a constant tangent."""
-        assemble_vector(result, self._residual_form)
+        self._model.assemble_vector(self._residual_form, result)
 
     def energies(self, x: PETSc.Vec) -> dict[str, float]:
         """Stored energies at x, pJ (2D: per um of depth): elastic, electric."""
@@ -50,9 +55,17 @@ class Bulk:
         }
 
 
-def assemble_vector(vector: PETSc.Vec, form: Any) -> None:
-    """vector = the linear form, summed over the ranks. Collective."""
-    with vector.localForm() as local:
-        local.set(0.0)
-    dolfinx.fem.petsc.assemble_vector(vector, form)
-    vector.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+def with_reference_nodes(matrix: PETSc.Mat, unknowns: Unknowns) -> PETSc.Mat:
+    """A matrix with the places of an assembled one, which it replaces, and those of reference nodes. Collective."""
+    b, here = unknowns.block, unknowns.references_here
+    pointer, columns, _ = matrix.getValuesCSR()
+    first = unknowns.total + b * np.arange(here)  # of this rank's reference nodes, each with a block on the diagonal
+    blocks = np.repeat(first, b)[:, None] + np.arange(b)
+    columns = np.concatenate([columns, blocks.ravel()]).astype(PETSc.IntType)
+    pointer = np.concatenate([pointer, pointer[-1] + b * np.arange(1, b * here + 1)]).astype(PETSc.IntType)
+    sizes = (len(pointer) - 1, unknowns.total + unknowns.references * b)
+    csr = pointer, columns, np.zeros(len(columns))
+    result = PETSc.Mat().createAIJ((sizes, sizes), bsize=b, csr=csr, comm=matrix.comm.tompi4py())
+    result.setLGMap(*matrix.getLGMap())  # forms are assembled by the local numbers of the mesh's nodes
+    matrix.destroy()
+    return result

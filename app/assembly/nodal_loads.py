@@ -6,7 +6,6 @@ import dolfinx
 import dolfinx.fem.petsc
 from petsc4py import PETSc
 
-from piezomat.assembly.bulk import assemble_vector
 from piezomat.discretization.model import Model
 from piezomat.forms.loads import load_tangent
 
@@ -20,18 +19,24 @@ class NodalLoads:
     """
 
     def __init__(self, model: Model) -> None:
+        self._model = model
         self.vector = model.new_vector()
         form = model.loads.form(model.trial_state, model.kinematics, model.potential_scale)
-        self.exist = not form.empty()
-        tangent = load_tangent(form, model.trial_state) if self.exist else None
+        tangent = None if form.empty() else load_tangent(form, model.trial_state)
         self.follow_state = tangent is not None
-        self._form = dolfinx.fem.form(form) if self.exist else None
+        self._form = None if form.empty() else dolfinx.fem.form(form)
         self._tangent_form = dolfinx.fem.form(tangent) if self.follow_state else None
+        self._charged = any(row.charge is not None for row in model.scene.electrodes)
+        self.exist = self._form is not None or self._charged
 
     def assemble(self) -> None:
         """Evaluate `vector` at the trial state of the model."""
-        if self.exist:
-            assemble_vector(self.vector, self._form)
+        model = self._model
+        if self._form is not None:
+            model.assemble_vector(self._form, self.vector)
+        if self._charged:
+            entries = model.unknowns.reference_entries(model.dim)
+            self.vector.array[entries] = model.potential_scale * model.loads.charges[: len(entries)]
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add their tangent at the trial state of the model to a matrix that is still to be assembled."""

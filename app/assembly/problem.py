@@ -114,11 +114,18 @@ class Problem:
             self._matrix.forget_pattern()
 
     def prescribed_change(self) -> PETSc.Vec:
-        """Change of the fixed unknowns that takes them to this load level, zero elsewhere; a new vector."""
+        """Change of the fixed unknowns, and of those tied to them, to this load level, zero elsewhere; a new vector."""
         change = self.model.new_vector()
         fixed = self.model.constraints.fixed
         change.array[fixed] = self.prescribed_values - self.state.array_r[fixed]
+        self.model.constraints.expand(change)
         return change
+
+    def take_prescribed_values(self) -> None:
+        """Give the fixed unknowns of the state their values at this load level, and the tied ones those they equal."""
+        constraints = self.model.constraints
+        self.state.array[constraints.fixed] = self.prescribed_values
+        constraints.expand(self.state)
 
     def set_stabilization(self, factor: float) -> None:
         """Make the stabilization `factor` times as stiff as the weak one."""
@@ -129,7 +136,7 @@ class Problem:
     # --- residual
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec, *, search: bool = True) -> None:
-        """result = R(x) with zeros at the fixed unknowns, not a number where contact cannot be evaluated.
+        """result = T^T R(x), zero at the eliminated unknowns, not a number where contact cannot be evaluated.
 
         Sets `residual_with_reactions`. search: see `Interfaces.evaluate`.
         """
@@ -142,7 +149,7 @@ class Problem:
                 if self.contact.evaluation_failed:
                     self.residual_with_reactions.set(np.nan)
         self.residual_with_reactions.copy(result)
-        self.model.constraints.set_zero(result)
+        self.model.constraints.reduce(result)
 
     def bulk_residual(self, x: PETSc.Vec) -> PETSc.Vec:
         """Residual with reactions at x of all but contact; a new vector."""
@@ -186,13 +193,12 @@ class Problem:
                 self._terms = self.contact.evaluate(x, tangent=True)
 
     def tangent(self) -> tuple[PETSc.Mat, bool]:
-        """The tangent as a matrix, the fixed unknowns eliminated, and whether its pattern differs from the last."""
+        """The tangent T^T K T as a matrix, and whether its pattern differs from the last."""
         nodes, matrices = self.contact_terms()
         reserve = self.contact.candidate_nodes() if self.contact is not None else nodes
         with self.timer("assembly"):
             if self._matrix is None:
-                fixed = self.model.constraints.fixed_global
-                self._matrix = TangentMatrix(self.comm, self._stiffness, self.model.unknowns.block, fixed)
+                self._matrix = self._new_matrix()
             matrix, fresh = self._matrix.assemble(nodes, matrices, reserve)
             self._matrix.eliminate()
         return matrix, fresh
@@ -205,13 +211,22 @@ class Problem:
         return self.contact.global_nodes(self._terms), self._terms.matrices
 
     def bulk_stiffness(self) -> PETSc.Mat:
-        """The tangent without contact, the fixed unknowns eliminated; a new matrix."""
-        bulk = self._stiffness.copy()
+        """The tangent T^T K T without contact; a new matrix."""
+        if self.model.constraints.ties:
+            without = self._new_matrix()
+            none = np.zeros((0, 1), np.int64), np.zeros((0, without.block, without.block))
+            bulk, _ = without.assemble(*none, none[0])
+        else:
+            bulk = self._stiffness.copy()
         self.model.constraints.eliminate(bulk)
         return bulk
 
+    def _new_matrix(self) -> TangentMatrix:
+        model = self.model
+        return TangentMatrix(self.comm, self._stiffness, model.unknowns.block, model.constraints)
+
     def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = tangent times a change of the state, no unknown eliminated."""
+        """result = tangent K times a change of all unknowns, none eliminated."""
         self._stiffness.mult(change, result)
         if self.contact is not None:
             self.contact.add_product(self._terms, change, result)

@@ -12,7 +12,6 @@ import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from piezomat.assembly.bulk import assemble_vector
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
@@ -92,7 +91,7 @@ def _stiffness(model: Model) -> PETSc.Vec:
     strength.x.scatter_forward()
     springs = model.new_vector()
     test = ufl.TestFunction(model.unknowns.space)
-    assemble_vector(springs, dolfinx.fem.form(stabilization_form(test, strength)))
+    model.assemble_vector(dolfinx.fem.form(stabilization_form(test, strength)), springs)
     return springs
 
 

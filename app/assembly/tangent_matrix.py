@@ -2,15 +2,18 @@
 
 In small kinematics the bulk is constant, and an iteration writes only the rows that contact touches. Where the pattern
 lacks places that contact needs, it grows and the matrix is built anew.
+
+Entries in rows and columns of tied unknowns are added where their references are as well, which makes T^T K T; those of
+the tied unknowns themselves are eliminated with the fixed ones.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from piezomat.discretization.constraints import Constraints
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
 
@@ -18,19 +21,19 @@ CHUNK = 100_000  # blocks that are handled at once, to bound the memory of their
 
 
 class TangentMatrix:
-    """Bulk + contact in one AIJ matrix, the fixed unknowns eliminated symmetrically. Every method is collective.
+    """Bulk + contact in one AIJ matrix, the eliminated unknowns left out symmetrically. Every method is collective.
 
     block: unknowns of a node
-    fixed (k,): global numbers of this rank's fixed rows
+    constraints: which unknowns are eliminated, and which others the tied ones among them equal
     matrix: of the last `assemble`; None before
     rebuilds: number of times that the matrix was built with a new pattern
     """
 
-    def __init__(self, comm: MPI.Comm, bulk: PETSc.Mat, block: int, fixed: NDArray[np.int32]) -> None:
+    def __init__(self, comm: MPI.Comm, bulk: PETSc.Mat, block: int, constraints: Constraints) -> None:
         """bulk: AIJ with full blocks of `block` unknowns a node; read when needed, not copied: it must live as long."""
         self.comm = comm
         self.block = block
-        self.fixed = fixed
+        self.constraints = constraints
         self.rebuilds = 0
         self._sizes = bulk.getSizes()
         start, stop = bulk.getOwnershipRange()
@@ -42,6 +45,7 @@ class TangentMatrix:
         first_rows = _ranges(pointer[:-1:block], np.diff(pointer)[::block])
         keys = rows * self._total + columns[first_rows[::block]].astype(np.int64) // block
         self._bulk_pattern = _Pattern(keys, self._nodes, self._total, block)
+        self._tied_pattern = self._pattern_with_ties()
         self.matrix: PETSc.Mat | None = None
         self.forget_pattern()
         self.set_bulk(bulk)
@@ -53,12 +57,12 @@ class TangentMatrix:
 
     def forget_pattern(self) -> None:
         """Drop the places of past contacts: the next `assemble` builds the matrix from the bulk's pattern."""
-        self._pattern = self._bulk_pattern
+        self._pattern = self._tied_pattern
         self._rows = np.zeros(0, np.int64)  # local nodes in whose rows contact has places
         self._pattern_is_new = True
 
     def assemble(self, nodes: Integers, matrices: Array, reserve: Integers) -> tuple[PETSc.Mat, bool]:
-        """The matrix with contact blocks added, fixed unknowns not yet eliminated, and whether its pattern is new.
+        """The matrix with contact blocks added, nothing eliminated as yet, and whether its pattern is new.
 
         nodes (k, n), matrices (k, n * block, n * block): global nodes of each facet pair of this rank, and its matrix
         reserve (r, n): nodes of facet pairs that may soon be in contact, for which a new pattern has places too
@@ -76,14 +80,16 @@ class TangentMatrix:
         return self.matrix, fresh
 
     def eliminate(self) -> None:
-        """Make the rows and columns of fixed unknowns those of the unit matrix."""
-        self.matrix.zeroRowsColumns(self.fixed, diag=1.0)
+        """Make the rows and columns of fixed and tied unknowns those of the unit matrix."""
+        self.constraints.eliminate(self.matrix)
 
     def _owner(self, node: Integers) -> Integers:
         return np.searchsorted(self._owners, node, side="right") - 1
 
     def _collect_keys(self, nodes: Integers) -> Integers:
         pairs = np.unique((nodes[:, :, None] * self._total + nodes[:, None, :]).ravel())
+        if self.constraints.ties:
+            pairs = np.union1d(pairs, self._at_references(pairs, None)[0])
         owner = self._owner(pairs // self._total)
         received = self.comm.alltoall([pairs[owner == rank] for rank in range(self.comm.size)])
         return np.unique(np.concatenate(received)) - self._first * self._total
@@ -94,6 +100,14 @@ class TangentMatrix:
         n = nodes.shape[1]
         keys = (nodes[:, :, None] * self._total + nodes[:, None, :]).ravel()
         blocks = matrices.reshape(-1, n, b, n, b).swapaxes(2, 3).reshape(-1, b * b)
+        if self.constraints.ties:
+            added = self._at_references(keys, blocks.reshape(-1, b, b))
+            keys, blocks = np.concatenate([keys, added[0]]), np.concatenate([blocks, added[1]])
+        return self._brought_home(keys, blocks)
+
+    def _brought_home(self, keys: Integers, blocks: Array) -> tuple[Integers, Array]:
+        """Sum blocks (k, b * b) of global keys, and bring each to the rank that owns its row, see `_collect`."""
+        b = self.block
         keys, blocks = _sum_equal(keys, blocks)
         if self.comm.size > 1:
             owner = self._owner(keys // self._total)
@@ -103,6 +117,49 @@ class TangentMatrix:
                 np.concatenate([k for k, _ in received]), np.concatenate([v for _, v in received])
             )
         return keys - self._first * self._total, blocks.reshape(-1, b, b)
+
+    # --- ties
+
+    def _at_references(self, keys: Integers, blocks: Array | None) -> tuple[Integers, Array]:
+        """The entries of blocks (k, b, b) in rows or columns of tied unknowns, again at their references.
+
+        Global keys (l,) and blocks (l, b * b), each with one entry, none of them zero; without `blocks` all keys.
+        """
+        b, ties = self.block, self.constraints.ties
+        local = np.arange(b)
+        rows, columns = ((nodes[:, None] * b + local) for nodes in (keys // self._total, keys % self._total))
+        to_row, to_column = ties.image(rows), ties.image(columns)
+        moved = (to_row != rows)[:, :, None] | (to_column != columns)[:, None, :]
+        if blocks is not None:
+            moved &= blocks != 0.0
+        block, i, j = np.nonzero(moved)
+        row, column = to_row[block, i], to_column[block, j]
+        found = (row // b) * self._total + column // b
+        if blocks is None:
+            return np.unique(found), np.zeros((0, b * b))
+        values = np.zeros((len(found), b * b))
+        values[np.arange(len(found)), (row % b) * b + column % b] = blocks[block, i, j]
+        return found, values
+
+    def _pattern_with_ties(self) -> _Pattern:
+        """The bulk's pattern with the places of `_tied_blocks`."""
+        ties = self.constraints.ties
+        self._tied_keys = np.zeros(0, np.int64)  # of the bulk's blocks that have tied unknowns
+        if not ties:
+            return self._bulk_pattern
+        keys, b = self._bulk_pattern.keys, self.block
+        numbers = np.arange(self._total * b)
+        tied = (ties.image(numbers) != numbers).reshape(-1, b).any(axis=1)
+        self._tied_keys = keys[tied[keys // self._total + self._first] | tied[keys % self._total]]
+        whole = self._tied_keys + self._first * self._total
+        every = self._at_references(whole, None)[0]
+        local, _ = self._brought_home(every, np.zeros((len(every), b * b)))
+        return _Pattern(np.union1d(keys, local), self._nodes, self._total, b)
+
+    def _tied_blocks(self, bulk: Array) -> tuple[Integers, Array]:
+        """The bulk's entries at tied unknowns, given its CSR data, as blocks at their references: see `_collect`."""
+        blocks = bulk[self._bulk_pattern.places(self._tied_keys)]
+        return self._brought_home(*self._at_references(self._tied_keys + self._first * self._total, blocks))
 
     def _has_places(self, keys: Integers) -> bool:
         return self._pattern.has(keys) and bool(np.isin(keys // self._total, self._rows).all())
@@ -122,6 +179,9 @@ class TangentMatrix:
             self._touched = np.zeros(0, np.int64)
         for keys in self._bulk_pattern.chunks():
             values[pattern.places(keys)] = bulk[self._bulk_pattern.places(keys)]
+        if self.constraints.ties:
+            keys, blocks = self._tied_blocks(bulk)
+            values[pattern.places(keys)] += blocks
         for keys in pattern.chunks() if fresh else ():
             self._columns[pattern.places(keys)] = ((keys % self._total)[:, None] * b + np.arange(b))[:, None]
         del bulk

@@ -115,6 +115,7 @@ class Interfaces:
             facets.nodes for p, seen in zip(self.surface_pairs, masters, strict=True) for facets in (p.slave, seen)
         ]
         needed += [p.slave.nodes for p in self.planes[:1]]  # all planes meet the same surface
+        needed += [np.array([p.reference_node]) for p in self.planes if p.reference_node is not None]
         self.nodes = self._seen(needed)
         geodesic = self.nodes.gather(self._geodesic)[:, 0] if self._geodesic is not None else None
         displacement = self.nodes.gather(state)[:, :d]

@@ -2,7 +2,7 @@
 
 A point of a surface at x has the gap g = (x - p).n from the plane through p whose normal n points to the bodies and,
 where the plane is an electrode, the potential jump j = phi - V. The interface law is that of contact between bodies;
-n is constant, so the variations of g and j are those of x and phi alone.
+n is constant, so the variations of g are those of x alone. V is prescribed, or an unknown of a reference node.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ class RigidPlane(ContactPoints):
     plane: the scene's section
     start (d,): a point of the plane at the beginning, um
     normal (d,): unit normal, which points to the bodies
+    reference_node: global number of the node that has the potential of the plane's electrode; None without one
 
     Of the present load level:
     offset (d,): motion since the beginning, um
-    potential: V, of an electrode; None of an insulator
+    potential: V, of an electrode; None of an insulator; with a reference node, of the last evaluation
 
     Valid after an evaluation; all near points but corners that do not act are projected:
     surface_potential (r,): potential of the bodies' surfaces, V; None without potentials
@@ -53,8 +54,9 @@ class RigidPlane(ContactPoints):
     plane: Plane
     start: Array
     normal: Array
+    reference_node: int | None = None
     offset: Array = field(init=False)
-    potential: float | None = field(init=False)
+    potential: float | None = field(init=False, default=None)
     projection: PlaneProjection | None = field(init=False, default=None)
     surface_potential: Array | None = field(init=False, default=None)
     force: Array = field(init=False)
@@ -79,6 +81,8 @@ class RigidPlane(ContactPoints):
         """Move to a load level; without factors to the start."""
         plane = self.plane
         self.offset = plane.motion_share(factors) * np.asarray(plane.motion or np.zeros(len(self.start)), float)
+        if self.reference_node is not None:
+            return
         self.potential = plane.potential
         if plane.potential is not None and plane.potential_follows is not None:
             self.potential *= factors.get(plane.potential_follows, 0.0)
@@ -86,6 +90,8 @@ class RigidPlane(ContactPoints):
     def detect(self, nodes: SeenNodes, position: Array, radius: float) -> None:
         """Find the points within `radius` (um) of the plane whose surface faces it, the seen nodes at `position`."""
         self.slave_nodes = nodes.places(self.slave.nodes)
+        if self.reference_node is not None:
+            self._reference = int(nodes.places(np.array([self.reference_node]))[0])
         corners = rounded(self.slave.kind, position[self.slave_nodes], self.slave.rounding)
         facet = self.points.facet
         points = np.einsum("mk,mkd->md", self.points.shape, corners[facet])
@@ -102,6 +108,8 @@ class RigidPlane(ContactPoints):
         nodes = self.slave_nodes[facet]
         kind, offsets = self.slave.kind, self.slave.rounding[facet]
         self.jump = self.surface_potential = None
+        if self.reference_node is not None:
+            self.potential = float(at.scale * at.potentials[self._reference])
         if at.potentials is not None:
             self.surface_potential = at.scale * np.einsum(
                 "mk,mk->m", shape, spread(kind, at.potentials[nodes], offsets)
@@ -123,14 +131,20 @@ class RigidPlane(ContactPoints):
         if self.jump is not None:
             first[:, 1, :, d] = at.scale * shape
         first = to_corners(kind, first, offsets[active])
+        if self.reference_node is not None:
+            nodes = self._with_reference(nodes)
+            first = np.concatenate([first, np.zeros_like(first)], axis=2)
+            if self.jump is not None:
+                first[:, 1, n, d] = -at.scale
         slopes = np.stack(self._forces(), axis=1)[active]
         vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
         matrices = None
         if tangent:
             second = np.stack([r.curvature, r.mixed, r.mixed, r.electric_curvature], axis=1)[active].reshape(m, 2, 2)
-            flat = first.reshape(m, 2, nodes.shape[1] * at.block_size)
+            flat = first.reshape(m, 2, first.shape[2] * at.block_size)
             matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
-        return _twice(ContactTerms.summed(facet[active], nodes, vectors, matrices))
+        terms = ContactTerms.summed(facet[active], nodes, vectors, matrices)
+        return terms if self.reference_node is not None else _twice(terms)
 
     def _project(self, position: Array) -> None:
         """Project the near points, with the seen nodes at `position` (n, d)."""
@@ -155,13 +169,22 @@ class RigidPlane(ContactPoints):
         changes[0] = np.einsum("mk,mkd,d->m", shape, after - before, self.normal)
         if self.jump is not None:
             changes[1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))
+            if self.reference_node is not None:
+                changes[1] -= at.scale * change[self._reference, d]
         return changes
 
     def facet_pairs_within(self, distance: float) -> Integers:
         """Nodes (k, 2 n) of the facets with a gap below `distance` (um) plus half a facet, each twice."""
         near = self._near_contact(distance)
         nodes = self.slave_nodes[np.unique(self.points.facet[self.projected_points[near]])]
-        return np.concatenate([nodes, nodes], axis=1)
+        return self._with_reference(nodes)
+
+    def _with_reference(self, nodes: Integers) -> Integers:
+        """Nodes (k, 2 n): those (k, n) of facets twice, the first of the second half being the reference node."""
+        twice = np.concatenate([nodes, nodes], axis=1)
+        if self.reference_node is not None:
+            twice[:, nodes.shape[1]] = self._reference
+        return twice
 
     def touching_bodies(self, pairs: Pairs) -> set[int]:
         """Bodies in contact with the plane."""

@@ -172,7 +172,7 @@ def _geodesic(model: Model, thickness: Array) -> PETSc.Vec:
     values = np.zeros((model.unknowns.owned, model.unknowns.block))
     distance = geodesic_distance(model.unknowns.space, model.parts.node_part, len(model.bodies.part_bodies))
     values[:, 0] = (distance / neighbourhood)[: model.unknowns.owned]
-    vector.array[:] = values.ravel()
+    vector.array[: values.size] = values.ravel()
     return vector
 
 
@@ -208,10 +208,13 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
     high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
     voltage = model.prescription.largest_voltage()
+    unknowns, electrodes = model.unknowns, model.constraints.electrodes
+    nodes = {name: unknowns.total // unknowns.block + e.reference for e in electrodes for name in e.planes}
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]))
-        electric = permittivity if plane.potential is not None else None
+        is_electrode = plane.potential is not None or plane.name in nodes
+        electric = permittivity if is_electrode else None
         law = interface_law(keys, voltage, size, stiffness, electric)
         found.append(
             RigidPlane(
@@ -219,6 +222,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
                 plane=plane,
                 start=start,
                 normal=normal,
+                reference_node=nodes.get(plane.name),
                 slave=outside,
                 points=points,
                 law=law,

@@ -93,7 +93,7 @@ def _electrodes(model: Model) -> PETSc.Vec:
         fixed = condition.fixed.get(model.dim)
         if fixed is not None:
             values[fixed // model.unknowns.block, 0] = number + 1
-    vector.array[:] = values.ravel()
+    vector.array[: values.size] = values.ravel()
     return vector
 
 

@@ -1,14 +1,15 @@
-"""What the boundary conditions prescribe: which unknowns are fixed, and at which values."""
+"""Constraints x = T y + g: which unknowns boundaries and electrodes fix, at which values g, and which they tie."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from piezomat.discretization.electrodes import ElectrodeNodes, electrode_nodes
+from piezomat.discretization.ties import Ties
 from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.contact.gap import point_normals
@@ -17,7 +18,8 @@ from piezomat.meshes import parallel
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.contact.surface import surface
 from piezomat.scene.errors import SceneError
-from piezomat.scene.sections import Boundary
+from piezomat.scene.scene import Scene
+from piezomat.scene.sections import Boundary, Electrode
 
 
 @dataclass(frozen=True)
@@ -42,43 +44,64 @@ class Condition:
 
 
 class Constraints:
-    """The fixed unknowns of a model and their values at given load factors.
+    """The constraints of a model, and the values of its fixed unknowns at given load factors.
 
     conditions: the rows [[boundaries]] of the scene, in order
     groups {facet group: conditions on it}
+    electrodes: the rows [[electrodes]] of the scene, in order; the reference nodes are theirs, in the same order
+    ties: the potentials of an electrode's nodes equal that of its reference node
+    tied_on {facet group: local numbers of the owned potentials on it that belong to an electrode}
     fixed (k,): local numbers of the owned unknowns that are fixed, sorted
-    fixed_global (k,): their global numbers
-    is_fixed (owned, block): whether an unknown is fixed
+    eliminated (k,), eliminated_global (k,): local and global numbers of the owned unknowns that are fixed or tied
+    is_fixed (owned, block): whether an unknown of a node of the mesh is fixed
     """
 
     def __init__(
         self,
-        boundaries: Sequence[Boundary],
+        scene: Scene,
         unknowns: Unknowns,
         bodies: BodyMesh,
         dielectric_node: Booleans,
         potential_scale: float | None,
     ) -> None:
-        """Fix what the boundaries prescribe, and at zero the potentials (local nodes,) that no permittivity touches.
+        """Fix and tie what the scene says, and fix at zero the potentials (local nodes,) that no permittivity touches.
 
-        Collective. Raises SceneError for a group without facets.
+        Collective. Raises SceneError for a group without facets, and for electrodes with nodes in common.
         """
         self._unknowns = unknowns
         self._potential_scale = potential_scale
         self.is_fixed: Booleans = np.zeros((unknowns.owned, unknowns.block), bool)
         if unknowns.electric:
             self.is_fixed[:, unknowns.dim] = ~dielectric_node[: unknowns.owned]
-        self.conditions = [self._condition(index, boundary, bodies) for index, boundary in enumerate(boundaries)]
+        self.conditions = [self._condition(index, boundary, bodies) for index, boundary in enumerate(scene.boundaries)]
         self.groups: dict[str, list[Condition]] = {}
         for condition in self.conditions:
             self.groups.setdefault(condition.boundary.on, []).append(condition)
-        self.fixed = np.flatnonzero(self.is_fixed.ravel())
-        self.fixed_global = (self.fixed + unknowns.first_node * unknowns.block).astype(PETSc.IntType)
+        given = np.zeros(unknowns.owned, bool)
+        for condition in self.conditions:
+            given[condition.fixed.get(unknowns.dim, np.zeros(0, np.int64)) // unknowns.block] = True
+        self.electrodes: list[ElectrodeNodes] = electrode_nodes(scene, unknowns, bodies, dielectric_node, given)
+        self.ties = Ties(
+            unknowns,
+            [e.nodes * unknowns.block + unknowns.dim for e in self.electrodes],
+            [unknowns.reference_number(e.reference, unknowns.dim) for e in self.electrodes],
+        )
+        self.tied_on = {
+            name: np.intersect1d(unknowns.nodes_of(bodies.facets[name]) * unknowns.block + unknowns.dim, self.ties.tied)
+            for name in self.groups
+        }
+        # Of a reference node the displacements, and the potential that its electrode prescribes.
+        at_references = np.ones((unknowns.references_here, unknowns.block), bool)
+        if unknowns.references_here:
+            at_references[:, -1] = [e.electrode.potential is not None for e in self.electrodes]
+        self.fixed = np.flatnonzero(np.concatenate([self.is_fixed, at_references]).ravel())
+        self.eliminated = np.union1d(self.fixed, self.ties.tied)
+        self.eliminated_global = (self.eliminated + unknowns.first_node * unknowns.block).astype(PETSc.IntType)
 
     def values(self, factors: dict[str, float]) -> Array:
         """Prescribed values (k,) of the fixed unknowns at these load factors, in the order of `fixed`."""
         unknowns = self._unknowns
-        values = np.zeros(unknowns.owned * unknowns.block)
+        values = np.zeros((unknowns.owned + unknowns.references_here) * unknowns.block)
         for condition in self.conditions:
             b = condition.boundary
             factor = load_factor(b, factors)
@@ -86,19 +109,28 @@ class Constraints:
                 potential = component == unknowns.dim
                 value = b.potential / self._potential_scale if potential else b.displacement[component]
                 values[fixed] = factor * value
+        if unknowns.references_here:
+            rows = [e.electrode for e in self.electrodes]
+            given = [load_factor(row, factors) * (row.potential or 0.0) / self._potential_scale for row in rows]
+            values[unknowns.reference_entries(unknowns.dim)] = given
         return values[self.fixed]
 
     def fixed_displacements(self) -> Booleans:
         """Which of the fixed unknowns (k,) are displacements."""
         return self.fixed % self._unknowns.block < self._unknowns.dim
 
-    def set_zero(self, vector: PETSc.Vec) -> None:
-        """Set the fixed unknowns of a vector to zero."""
+    def reduce(self, vector: PETSc.Vec) -> None:
+        """Replace a vector of forces by those on the unknowns that are left, zero at the eliminated. Collective."""
+        self.ties.reduce(vector)
         vector.array[self.fixed] = 0.0
 
+    def expand(self, vector: PETSc.Vec) -> None:
+        """Give the tied unknowns of a vector their values, those of the references. Collective."""
+        self.ties.expand(vector)
+
     def eliminate(self, matrix: PETSc.Mat) -> None:
-        """Make the rows and columns of the fixed unknowns those of the unit matrix. Collective."""
-        matrix.zeroRowsColumns(self.fixed_global, diag=1.0)
+        """Make the rows and columns of the eliminated unknowns those of the unit matrix. Collective."""
+        matrix.zeroRowsColumns(self.eliminated_global, diag=1.0)
 
     def _condition(self, index: int, boundary: Boundary, bodies: BodyMesh) -> Condition:
         """A row of the scene; marks the unknowns that it fixes."""
@@ -120,9 +152,9 @@ class Constraints:
         return Condition(boundary, facets, fixed, *_measure(unknowns, bodies, facets))
 
 
-def load_factor(boundary: Boundary, factors: dict[str, float]) -> float:
-    """Value of the load factor that a row [[boundaries]] follows; 1 without one."""
-    return factors[boundary.follows] if boundary.follows is not None else 1.0
+def load_factor(row: Boundary | Electrode, factors: dict[str, float]) -> float:
+    """Value of the load factor that a row of the scene follows; 1 without one."""
+    return factors[row.follows] if row.follows is not None else 1.0
 
 
 def _measure(

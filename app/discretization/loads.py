@@ -1,4 +1,7 @@
-"""Loads on boundaries: tractions, pressures and charges as a UFL form whose constants follow the load factors."""
+"""Loads: tractions, pressures and charges on boundaries as a UFL form whose constants follow the load factors.
+
+The charge of an electrode belongs to no place on it: it loads the reference node.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,23 @@ from piezomat.forms.loads import Load, boundary_loads
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.mesh_entities import exterior_facets
 from piezomat.scene.errors import SceneError
-from piezomat.scene.sections import Boundary
+from piezomat.scene.sections import Boundary, Electrode
 
 KINDS = ("traction", "pressure", "charge_density")
 
 
 class Loads:
-    """Tractions, pressures and charge densities of all boundary conditions, reference area and normal."""
+    """Tractions, pressures and charge densities of all boundary conditions, reference area and normal.
 
-    def __init__(self, conditions: Sequence[Condition], bodies: BodyMesh) -> None:
+    charges (electrodes,), pC: given to the electrodes at the present load factors
+    """
+
+    def __init__(self, conditions: Sequence[Condition], electrodes: Sequence[Electrode], bodies: BodyMesh) -> None:
         """Collective. Raises SceneError for a load on facets inside a body."""
         self._mesh = bodies.mesh
         self._dim: int = bodies.mesh.geometry.dim
+        self._electrodes = electrodes
+        self.charges = np.zeros(len(electrodes))
         loaded = [condition for condition in conditions if _given(condition.boundary)]
         with_loads = {condition.boundary.on for condition in loaded}
         groups = [name for name in dict.fromkeys(c.boundary.on for c in conditions) if name in with_loads]
@@ -47,9 +55,10 @@ class Loads:
             self._loads += [Load(tag, **constants) for tag, row in enumerate(combinations, start=1) if row[column]]
 
     def set_factors(self, factors: dict[str, float]) -> None:
-        """Set the constants of the form to these load factors."""
+        """Set the constants of the form and the charges to these load factors."""
         for constant, value, boundary in self._constants:
             constant.value = np.asarray(value) * load_factor(boundary, factors)
+        self.charges = np.array([load_factor(row, factors) * (row.charge or 0.0) for row in self._electrodes])
 
     def form(self, state: Any, kinematics: Kinematics, potential_scale: float | None) -> Any:
         """UFL form that the loads add to the residual at `state`; an empty form without loads."""

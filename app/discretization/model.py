@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import dolfinx
+import dolfinx.fem.petsc
 import numpy as np
 from petsc4py import PETSc
 
@@ -60,9 +63,10 @@ class Model:
         if self.electric:
             permittivity = max(m.mean_permittivity for m in self.materials)
             self.potential_scale = float(np.sqrt(self.stiffness / permittivity))
-        self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric)
+        self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric, references=len(scene.electrodes))
         self.trial_state = dolfinx.fem.Function(self.unknowns.space)
         self._layout = self.unknowns.empty_vector(self.comm)
+        self._ghosted = self.unknowns.ghosted_vector(self.comm)
         self.constitutive_field = constitutive_field(
             self.mesh,
             [m.constitutive_matrix(self.dim, self.plane) for m in self.materials],
@@ -71,10 +75,15 @@ class Model:
         )
         dielectric = self._dielectric_nodes()
         self.parts = parts_of(bodies, self.unknowns)
-        self.constraints = Constraints(scene.boundaries, self.unknowns, bodies, dielectric, self.potential_scale)
+        self.constraints = Constraints(scene, self.unknowns, bodies, dielectric, self.potential_scale)
         self.prescription = Prescription(self.comm, self.constraints, scene.planes, scene.load)
-        self.loads = Loads(self.constraints.conditions, bodies)
+        self.loads = Loads(self.constraints.conditions, scene.electrodes, bodies)
         self.unconstrained = unconstrained(self.parts, self.unknowns, self.constraints, dielectric)
+
+    @property
+    def electrode_names(self) -> list[str]:
+        """Names of the electrodes, in the order of the scene."""
+        return [e.electrode.name for e in self.constraints.electrodes]
 
     @property
     def has_unconstrained_bodies(self) -> bool:
@@ -82,7 +91,7 @@ class Model:
         return bool(self.unconstrained[:, 0].any())
 
     def new_vector(self) -> PETSc.Vec:
-        """A distributed vector of the unknowns with room for ghosts; zero."""
+        """A distributed vector of the unknowns ; zero."""
         vector = self._layout.duplicate()
         vector.set(0.0)
         return vector
@@ -92,12 +101,22 @@ class Model:
         vector, owned = self.new_vector(), self.unknowns.owned
         values = np.zeros((owned, self.unknowns.block))
         values[:, : self.dim] = self.unknowns.coordinates[:owned]
-        vector.array[:] = values.ravel()
+        vector.array[: values.size] = values.ravel()
         return vector
+
+    def assemble_vector(self, form: Any, result: PETSc.Vec) -> None:
+        """result = a compiled linear form, summed over the ranks; zero at reference nodes."""
+        with self._ghosted.localForm() as local:
+            local.set(0.0)
+        dolfinx.fem.petsc.assemble_vector(self._ghosted, form)
+        self._ghosted.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+        result.set(0.0)
+        result.array[: len(self._ghosted.array_r)] = self._ghosted.array_r
 
     def set_trial_state(self, x: PETSc.Vec) -> None:
         """Evaluate forms at x from now on: copy it into the Function `trial_state`, ghosts included."""
-        self.trial_state.x.array[: len(x.array_r)] = x.array_r
+        nodal = x.array_r[: self.unknowns.owned * self.unknowns.block]
+        self.trial_state.x.array[: len(nodal)] = nodal
         self.trial_state.x.scatter_forward()
 
     def _dielectric_nodes(self) -> Booleans:

@@ -46,9 +46,10 @@ class Prescription:
         return max((self.motion(end) for end in self._ends), default=0.0)
 
     def largest_voltage(self) -> float:
-        """Largest difference of the potentials that boundaries and planes prescribe at once, V."""
+        """Largest difference of the potentials that boundaries, planes and electrodes prescribe at once, V."""
         given = [(c.boundary.potential, c.boundary.follows) for c in self._constraints.conditions]
         given += [(p.potential, p.potential_follows) for p in self._planes]
+        given += [(e.electrode.potential, e.electrode.follows) for e in self._constraints.electrodes]
         largest = 0.0
         for factors in (self._start, *self._ends):
             values = [v * (factors[name] if name is not None else 1.0) for v, name in given if v is not None]

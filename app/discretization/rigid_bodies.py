@@ -63,9 +63,10 @@ def parts_of(bodies: BodyMesh, unknowns: Unknowns) -> Parts:
 
 
 def unconstrained(parts: Parts, unknowns: Unknowns, constraints: Constraints, dielectric_node: Booleans) -> Booleans:
-    """Whether no boundary constrains the rigid-body modes, and the mean potential, of each part (parts, 2). Collective.
+    """Whether nothing constrains the rigid-body modes, and the mean potential, of each part (parts, 2). Collective.
 
-    A part without a permittivity has no potential to constrain.
+    Boundaries do, and electrodes at a potential; an open electrode constrains the parts that it joins to one that is
+    constrained. A part without a permittivity has no potential to constrain.
     """
     d, owned = unknowns.dim, unknowns.owned
     part = parts.node_part[:owned]
@@ -80,8 +81,27 @@ def unconstrained(parts: Parts, unknowns: Unknowns, constraints: Constraints, di
         inside = dielectric_node[:owned]
         given = constraints.is_fixed[:, d] & inside
         sums = parts.sums(unknowns, np.column_stack([inside, given]).astype(float))
-        found[:, 1] = (sums[:, 0] > 0) & (sums[:, 1] == 0)
+        constrained = _joined_by_electrodes(parts, unknowns, constraints, sums[:, 1] > 0)
+        found[:, 1] = (sums[:, 0] > 0) & ~constrained
     return found
+
+
+def _joined_by_electrodes(
+    parts: Parts, unknowns: Unknowns, constraints: Constraints, constrained: Booleans
+) -> Booleans:
+    """The parts whose mean potential is constrained, given those (parts,) that boundaries constrain. Collective."""
+    electrodes = constraints.electrodes
+    if not electrodes:
+        return constrained
+    on = np.zeros((unknowns.owned, len(electrodes)))
+    for electrode in electrodes:
+        on[electrode.nodes, electrode.reference] = 1.0
+    touches = parts.sums(unknowns, on) > 0.0
+    given = np.array([e.electrode.potential is not None for e in electrodes])
+    for _ in range(len(electrodes) + 1):  # a chain of electrodes has as many links
+        constrained = constrained | touches[:, given].any(axis=1)
+        given = given | touches[constrained].any(axis=0)
+    return constrained
 
 
 def rigid_modes(x: Array) -> Array:

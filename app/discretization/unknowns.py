@@ -1,4 +1,7 @@
-"""The unknowns of a model: displacement and, with permittivity, potential at the nodes of a blocked Lagrange space."""
+"""The unknowns of a model: displacement and, with permittivity, potential at the nodes of a blocked Lagrange space.
+
+What belongs to no node of the mesh, such as the potential of an electrode, is an unknown of a reference node.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,23 @@ class Unknowns:
     """Which unknowns there are, which rank owns them, and where they stand in distributed vectors.
 
     A vector holds the unknowns node by node: the components of the displacement (um), then, in an electric model, the
-    potential divided by `Model.potential_scale`. A rank's nodes are the owned ones, then the ghosts.
+    potential divided by `Model.potential_scale`. A rank's nodes are the owned ones, then the ghosts. The reference
+    nodes come after all nodes of the mesh, on the last rank.
 
     space: blocked Lagrange space of the mesh's order
     comm: communicator of the mesh
     dim: components of the displacement
     electric: whether each node has a potential
     block: unknowns of a node, dim or dim + 1
-    owned: number of nodes that this rank owns
+    owned: number of nodes of the mesh that this rank owns
+    references: number of reference nodes; references_here: of those that this rank owns
     local: number of nodes that this rank holds, ghosts included
     first_node: global number of the first owned node
-    total: number of unknowns over all ranks
+    total: number of unknowns at the nodes of the mesh over all ranks
     coordinates (local, dim), um: the nodes in the undeformed state
     """
 
-    def __init__(self, mesh: Any, order: int, *, electric: bool) -> None:
+    def __init__(self, mesh: Any, order: int, *, electric: bool, references: int = 0) -> None:
         self.comm: MPI.Comm = mesh.comm
         self.dim: int = mesh.geometry.dim
         self.electric = electric
@@ -45,21 +50,36 @@ class Unknowns:
         self.local: int = index_map.size_local + index_map.num_ghosts
         self.first_node: int = index_map.local_range[0]
         self.total: int = index_map.size_global * self.block
+        self.references = references
+        self.references_here = references if self.comm.rank == self.comm.size - 1 else 0
         self.coordinates = node_coordinates(self.space)
 
+    def reference_number(self, reference: int, component: int) -> int:
+        """Global number of an unknown of a reference node."""
+        return self.total + reference * self.block + component
+
     def empty_vector(self, comm: MPI.Comm) -> PETSc.Vec:
-        """A distributed vector with room for ghosts on a communicator of the mesh's ranks. Collective.
+        """A distributed vector on a communicator of the mesh's ranks. Collective.
 
         PETSc keeps what Python has released until its communicator is cleaned up. That of the mesh ends before the
         vectors of a run do, whose memory would then stay: 4 MB of 26,000 unknowns.
         """
+        here = (self.owned + self.references_here) * self.block
+        return PETSc.Vec().createMPI((here, self.total + self.references * self.block), self.block, comm)
+
+    def ghosted_vector(self, comm: MPI.Comm) -> PETSc.Vec:
+        """A vector of the unknowns of the mesh alone, with room for ghosts, as forms are assembled into. Collective."""
         index_map = self.space.dofmap.index_map
         ghosts = index_map.ghosts.astype(PETSc.IntType)
         return PETSc.Vec().createGhost(ghosts, (self.owned * self.block, self.total), self.block, comm)
 
     def by_node(self, vector: PETSc.Vec) -> Array:
-        """View (owned, block) of this rank's values of a vector, for reading."""
-        return vector.array_r.reshape(self.owned, self.block)
+        """View (owned, block) of this rank's values of a vector at the nodes of the mesh, for reading."""
+        return vector.array_r[: self.owned * self.block].reshape(self.owned, self.block)
+
+    def reference_entries(self, component: int) -> NDArray[np.int64]:
+        """Local numbers (references_here,) of an unknown of this rank's reference nodes."""
+        return (self.owned + np.arange(self.references_here)) * self.block + component
 
     def displacements(self, vector: PETSc.Vec) -> Array:
         """View (owned, dim) of this rank's displacement part of a vector, for reading."""
@@ -71,7 +91,7 @@ class Unknowns:
 
     def norms(self, vector: PETSc.Vec) -> Array:
         """Euclidean norms of the displacement part and, in an electric model, the potential part. Collective."""
-        squares = self.by_node(vector) ** 2
+        squares = vector.array_r.reshape(-1, self.block) ** 2
         parts = [squares[:, : self.dim].sum()]
         if self.electric:
             parts.append(squares[:, -1].sum())
@@ -82,11 +102,11 @@ class Unknowns:
         return (nodes[:, None] * self.block + np.arange(self.block)).ravel().astype(PETSc.IntType)
 
     def displacement_numbers(self) -> NDArray[np.int32]:
-        """Global numbers (owned * dim,) of the owned displacements."""
+        """Global numbers of the owned displacements, those of reference nodes included."""
         return (self._owned_nodes()[:, None] * self.block + np.arange(self.dim)).ravel().astype(PETSc.IntType)
 
     def potential_numbers(self) -> NDArray[np.int32]:
-        """Global numbers (owned,) of the owned potentials."""
+        """Global numbers of the owned potentials, those of reference nodes included."""
         return (self._owned_nodes() * self.block + self.dim).astype(PETSc.IntType)
 
     def nodes_of(self, facets: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -95,4 +115,4 @@ class Unknowns:
         return np.asarray(nodes[nodes < self.owned], np.int64)
 
     def _owned_nodes(self) -> NDArray[np.int64]:
-        return np.arange(self.first_node, self.first_node + self.owned)
+        return np.arange(self.first_node, self.first_node + self.owned + self.references_here)

@@ -46,7 +46,7 @@ from piezomat.usage import peak_memory_mb
 
 Value = float | int | str
 SUMMARY_KEYS = tuple(
-    "title converged reason ranks dofs cells bodies steps timings peak_memory_mb shares versions".split()
+    "title converged reason ranks dofs cells bodies steps capacitance timings peak_memory_mb shares versions".split()
 )
 T = TypeVar("T")
 log = logging.getLogger("piezomat")

@@ -14,10 +14,13 @@ from typing import Any
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
+from piezomat.forms.arrays import Array
 from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_of_plane
+from piezomat.results.electrodes import electrode_states
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.reactions import reaction
 from piezomat.scene.tables import markdown
+from piezomat.solver.capacitance import between
 from piezomat.solver.load_steps import Step, StepReport
 
 AXES = ("x", "y", "z")
@@ -60,13 +63,17 @@ class Quantity:
 
 @dataclass(frozen=True)
 class ConvergedStep:
-    """What the values of a row are computed from; `seconds`: wall clock of the step."""
+    """What the values of a row are computed from; `seconds`: wall clock of the step.
+
+    capacitance: computes the matrix of the electrodes, see `piezomat.solver.capacitance`
+    """
 
     problem: Problem
     balance: EnergyBalance
     step: Step
     report: StepReport
     seconds: float
+    capacitance: Callable[[], Array | None]
 
 
 @dataclass(frozen=True)
@@ -195,6 +202,15 @@ PLANE = Group(
         ),
     ),
 )
+ELECTRODE = Group(
+    "E",
+    lambda problem: problem.model.electrode_names,
+    lambda at: electrode_states(at.problem),
+    (
+        Quantity("voltage@{place}", "V", "potential of an electrode", attrgetter("voltage")),
+        Quantity("charge@{place}", "pC", "free charge on an electrode", attrgetter("charge")),
+    ),
+)
 PAIR = Group(
     "C",
     lambda problem: list(_listed_pairs(problem).values()),
@@ -239,6 +255,13 @@ ENERGY = Group(
         Quantity("dissipated", "pJ", "energy of broken bonds", itemgetter("dissipated")),
     ),
 )
+# After all that contact's last evaluation holds: this evaluates it anew.
+CAPACITANCE = Group(
+    "",
+    lambda problem: [""] if len(problem.model.constraints.electrodes) == 2 else [],
+    lambda at: [at.capacitance()] if len(at.problem.model.constraints.electrodes) == 2 else [],
+    (Quantity("capacitance", "pC/V", "between the electrodes, of a scene with two", between),),
+)
 EFFORT = Group(
     "",
     _one_place,
@@ -257,7 +280,7 @@ EFFORT = Group(
         ),
     ),
 )
-GROUPS = (STEP, FACTOR, BOUNDARY, PLANE, PAIR, ENERGY, EFFORT)
+GROUPS = (STEP, FACTOR, BOUNDARY, PLANE, ELECTRODE, PAIR, ENERGY, CAPACITANCE, EFFORT)
 
 
 def columns(problem: Problem) -> list[str]:
@@ -266,10 +289,15 @@ def columns(problem: Problem) -> list[str]:
 
 
 def row(
-    problem: Problem, balance: EnergyBalance, step: Step, report: StepReport, seconds: float
+    problem: Problem,
+    balance: EnergyBalance,
+    step: Step,
+    report: StepReport,
+    seconds: float,
+    capacitance: Callable[[], Array | None],
 ) -> dict[str, float | int]:
     """Row of the history of a converged step, by column. Collective; the same on all ranks."""
-    at, model = ConvergedStep(problem, balance, step, report, seconds), problem.model
+    at, model = ConvergedStep(problem, balance, step, report, seconds, capacitance), problem.model
     values: dict[str, float | int] = {}
     for group in GROUPS:
         for place, record in zip(group.places(problem), group.records(at), strict=True):

@@ -31,9 +31,10 @@ Points = dict[str, tuple[NDArray[np.int64], Array]]
 
 
 class Scalars(BaseModel):
-    """What a checkpoint holds beside nodal values and contact points; of an older version without the last three.
+    """What a checkpoint holds beside nodal values and contact points; of an older version without the last five.
 
     scene: the scene of the run as TOML. mesh: SHA-256 of its mesh file. version: of piezomat that has written it.
+    references: unknowns of the electrodes' reference nodes. capacitance: matrices of the electrodes after each step.
     """
 
     model_config = ConfigDict(strict=True, frozen=True)
@@ -48,6 +49,8 @@ class Scalars(BaseModel):
     scene: str | None = None
     mesh: str | None = None
     version: str = "0.1.0 or older"
+    references: list[float] = []
+    capacitance: list[list[list[float]]] = []
 
 
 def save(
@@ -57,14 +60,15 @@ def save(
     stepper: Stepper,
     balance: EnergyBalance,
     history: list[dict[str, Any]],
+    capacitance: list[list[list[float]]],
     scene: str,
     mesh: str,
 ) -> None:
     """Write the end of a step, problem and contact being evaluated there, to a folder of checkpoints. Collective.
 
-    scene, mesh: see `Scalars`. Raises what `checkpoint.save` does.
+    capacitance, scene, mesh: see `Scalars`. Raises what `checkpoint.save` does.
     """
-    model, contact = problem.model, problem.contact
+    model, contact, ties = problem.model, problem.contact, problem.model.constraints.ties
     ids = _node_ids(model)
     nodal = {
         "state": (ids, model.unknowns.by_node(problem.state)),
@@ -81,6 +85,8 @@ def save(
         "scene": scene,
         "mesh": mesh,
         "version": __version__,
+        "capacitance": capacitance,
+        "references": ties.values(problem.state).tolist() if ties else [],
     }
     points = _points(contact, augmented=augments(model)) if contact is not None else {}
     checkpoint.save(problem.comm, folder, step, nodal, points, scalars)
@@ -118,8 +124,11 @@ def restore(stored: checkpoint.Checkpoint, problem: Problem, stepper: Stepper, b
     model, contact = problem.model, problem.contact
     scalars: Scalars = stored.scalars
     ids, width = _node_ids(model), model.unknowns.block
-    problem.state.array[:] = stored.nodal("state", ids, width).ravel()
-    balance.forces.array[:] = stored.nodal("forces", ids, width).ravel()
+    for vector, name in ((problem.state, "state"), (balance.forces, "forces")):
+        values = stored.nodal(name, ids, width)
+        vector.array[: values.size] = values.ravel()
+    if len(scalars.references) == len(model.constraints.electrodes):
+        model.constraints.ties.set_values(problem.state, scalars.references)
     balance.external_work = scalars.external_work
     balance.stabilization_work = scalars.stabilization
     stepper.size = scalars.size

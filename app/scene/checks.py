@@ -16,7 +16,7 @@ OVERLAP = 0.1  # most that bodies may overlap at the start, as a share of the si
 
 def check(scene: SceneData) -> None:
     """Raise SceneError for the first thing in which the sections of a scene do not fit together."""
-    for part in (names, bodies, mesh, gap, orientations, boundaries, planes, contact, load):
+    for part in (names, bodies, mesh, gap, orientations, boundaries, planes, electrodes, contact, load):
         part(scene)
 
 
@@ -134,6 +134,38 @@ def planes(scene: SceneData) -> None:
                 raise unknown_name(f"{key}.{name}", factor, "a factor of load.factors", list(scene.load.factors))
 
 
+def electrodes(scene: SceneData) -> None:
+    """Electrodes have names of their own, stand on what exists and has a potential, and follow factors that exist."""
+    names: dict[str, int] = {}
+    owners: dict[str, int] = {}
+    for index, electrode in enumerate(scene.electrodes):
+        key = f"electrodes[{index}]"
+        if not scene.electric:
+            allowed = "none, unless the material of a body has a permittivity"
+            raise SceneError(key, f"the electrode {shown(electrode.name)}", allowed)
+        if electrode.name in names:
+            allowed = f"a name of its own: it is that of electrodes[{names[electrode.name]}]"
+            raise SceneError(f"{key}.name", shown(electrode.name), allowed)
+        names[electrode.name] = index
+        planes = {plane.name: plane for plane in scene.planes}
+        known = [*scene.facet_groups, *scene.body_names, *planes]
+        for place, name in enumerate(electrode.on):
+            if not any(key_of(member, [name]) for member in known):
+                raise unknown_name(f"{key}.on[{place}]", name, "a facet group, a body or a plane, or a pattern", known)
+        for member in [m for members in scene.members(electrode) for m in members]:
+            if member in owners:
+                allowed = f"what is not of electrodes[{owners[member]}], {shown(scene.electrodes[owners[member]].name)}"
+                raise SceneError(f"{key}.on", shown(member), allowed)
+            owners[member] = index
+            if member in planes and planes[member].potential is not None:
+                allowed = "a plane without potential of its own, or potential in [[electrodes]] alone"
+                raise SceneError(f"{key}.on", f"{shown(member)}, a plane with a potential", allowed)
+        if electrode.follows is not None and electrode.follows not in scene.load.factors:
+            raise unknown_name(
+                f"{key}.follows", electrode.follows, "a factor of load.factors", list(scene.load.factors)
+            )
+
+
 def _prescribed(row: Boundary) -> list[str]:
     """What a row fixes, in words that start with the key."""
     components = [f"displacement {'xyz'[i]}" for i, value in enumerate(row.displacement or []) if value is not None]
@@ -172,8 +204,10 @@ def contact(scene: SceneData) -> None:
 def load(scene: SceneData) -> None:
     """Every load factor is followed."""
     followed = {row.follows for row in scene.boundaries}
+    followed |= {row.follows for row in scene.electrodes}
     followed |= {factor for plane in scene.planes for factor in (plane.follows, plane.potential_follows)}
     for name in scene.load.factors:
         if name not in followed:
-            allowed = f"only factors that a boundary or plane follows ({named(sorted(filter(None, followed)))})"
+            names = named(sorted(filter(None, followed)))
+            allowed = f"only factors that a boundary, plane or electrode follows ({names})"
             raise SceneError(f"load.factors.{name}", "a factor that nothing follows", allowed)

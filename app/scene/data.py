@@ -18,15 +18,15 @@ from piezomat.meshes.gmsh_io.mesh_file import MeshFile, read_groups
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes import MeshSizes, Shapes
 from piezomat.scene.errors import SceneError, mesh_error, shown
+from piezomat.scene.keys import Keys, Name
+from piezomat.scene.material_keys import MaterialKeys
 from piezomat.scene.sections import (
     Boundary,
     Contact,
-    Keys,
+    Electrode,
     Load,
-    MaterialKeys,
     MeshKeys,
     ModelKeys,
-    Name,
     Output,
     Plane,
     Solver,
@@ -39,6 +39,14 @@ class Groups(NamedTuple):
     dimension: int
     bodies: tuple[str, ...]
     facets: tuple[str, ...]
+
+
+class Members(NamedTuple):
+    """What an electrode consists of, by name."""
+
+    facet_groups: tuple[str, ...]
+    bodies: tuple[str, ...]
+    planes: tuple[str, ...]
 
 
 def _branch(geometry: Any) -> str:
@@ -66,6 +74,7 @@ class SceneData(Keys):
     )
     boundaries: list[Boundary] = Field([], description="what is prescribed on groups of facets")
     planes: list[Plane] = Field([], description="rigid planes that the bodies meet")
+    electrodes: list[Electrode] = Field([], description="facet groups, bodies and planes at one potential each")
     contact: Contact | None = None
     load: Load = Field(default_factory=Load)
     solver: Solver = Field(default_factory=Solver)
@@ -104,6 +113,11 @@ class SceneData(Keys):
     def outcome(self) -> object | None:
         """Measures of a recipe (crossings, porosity, ...), whose `str` is for the log; None for other geometries."""
         return None if isinstance(self.geometry, MeshFile) else self.geometry.outcome()
+
+    def members(self, electrode: Electrode) -> Members:
+        """The facet groups, bodies and planes that the names and patterns of an electrode stand for."""
+        kinds = self.facet_groups, self.body_names, [plane.name for plane in self.planes]
+        return Members(*(tuple(n for n in names if key_of(n, electrode.on) is not None) for names in kinds))
 
     def material(self, body: str) -> Material:
         """The material of a body in global axes."""

@@ -8,29 +8,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    WithJsonSchema,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
-from piezomat.forms.material_library import BUILT_IN
-from piezomat.forms.materials import Material, permittivity_matrix, piezo_matrix
-from piezomat.scene.errors import SceneError, named, shown, unknown_name
+from piezomat.scene.errors import SceneError, named, shown
+from piezomat.scene.keys import Count, Direction, Keys, Name, Positive
 from piezomat.scene.petsc_options import check_petsc_options
-
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
-Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
-Vector6 = Annotated[list[float], Field(min_length=6, max_length=6)]
-Direction = Annotated[list[float], Field(min_length=2, max_length=3)]
-Name = Annotated[str, Field(min_length=1)]
 
 # Literal[1, 2] alone takes 1.0 and true too; what is no integer is handed on as None, which no Literal takes.
 OneOrTwo = Annotated[Literal[1, 2], BeforeValidator(lambda value: value if type(value) is int else None)]
@@ -41,12 +23,6 @@ Component = Annotated[
     PlainSerializer(lambda value: "free" if value is None else value),
     WithJsonSchema({"anyOf": [{"type": "number"}, {"const": "free"}]}),
 ]
-
-
-class Keys(BaseModel):
-    """A table of the scene file: exactly the known keys, exactly their types, finite numbers."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class MeshKeys(Keys):
@@ -78,95 +54,6 @@ class ModelKeys(Keys):
     kinematics: Literal["small", "finite"] = Field(
         "small", description="finite: Green-Lagrange strain, referential field"
     )
-
-
-class PiezoKeys(Keys):
-    """Piezoelectric stress constants by name, pC/um2."""
-
-    e31: float = Field(description="stress along axis 1 for a field along axis 3, the poling")
-    e32: float = Field(description="along axis 2")
-    e33: float = Field(description="along axis 3")
-    e15: float = Field(0.0, description="shear in the plane of axes 1 and 3 for a field along axis 1")
-    e24: float = Field(0.0, description="shear in the plane of axes 2 and 3 for a field along axis 2")
-
-
-class MaterialKeys(Keys):
-    """[materials.NAME]: a material of the scene, from nothing or from a built-in one."""
-
-    like: str | None = Field(None, description=f"built-in material to start from: {named(list(BUILT_IN))}")
-    young: Positive | None = Field(None, description="Young's modulus, MPa")
-    poisson: Annotated[float, Field(gt=-1, lt=0.5)] | None = Field(None, description="Poisson's ratio")
-    stiffness: Annotated[list[Vector6], Field(min_length=6, max_length=6)] | None = Field(
-        None, description="6x6 at constant field, MPa, Voigt order 11 22 33 23 13 12"
-    )
-    piezo: PiezoKeys | Annotated[list[Vector6], Field(min_length=3, max_length=3)] | None = Field(
-        None, description="constants by name or 3x6, pC/um2; absent: not piezoelectric"
-    )
-    permittivity: Positive | Vector3 | Annotated[list[Vector3], Field(min_length=3, max_length=3)] | None = Field(
-        None,
-        description="at constant strain, pC/(V um): number, 3 or 3x3; absent: no potential in the body",
-    )
-    poling: Direction | None = Field(
-        None,
-        description="direction of material axis 3; default where piezoelectric: up (y in 2D, z in 3D)",
-    )
-    axis1: Direction | None = Field(None, description="direction of material axis 1, made perpendicular to poling")
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        if self.like is not None and self.like not in BUILT_IN:
-            raise unknown_name("like", self.like, "a built-in material", list(BUILT_IN))
-        if self.stiffness is not None and (self.young is not None or self.poisson is not None):
-            raise SceneError(
-                "stiffness", "both stiffness and young or poisson", "either stiffness or young and poisson"
-            )
-        if self.like is None and self.stiffness is None:
-            for key, other in (("young", "poisson"), ("poisson", "young")):
-                if getattr(self, key) is None:
-                    what = f"no {key}, though {other} is given" if getattr(self, other) is not None else "no elasticity"
-                    raise SceneError(key, what, "young and poisson, or stiffness, or like = a built-in material")
-        for key in ("poling", "axis1"):
-            vector = getattr(self, key)
-            if vector is not None and not any(vector):
-                raise SceneError(key, vector, "a direction: not the zero vector")
-        self.unrotated()
-        return self
-
-    def unrotated(self) -> Material:
-        """The material in its own axes. Raises SceneError for constants that no stable material has."""
-        base = BUILT_IN[self.like] if self.like is not None else None
-        piezo = base.piezo if base is not None else np.zeros((3, 6))
-        if self.piezo is not None:
-            by_name = isinstance(self.piezo, PiezoKeys)
-            piezo = piezo_matrix(self.piezo.model_dump()) if by_name else np.array(self.piezo, float)
-        permittivity = base.permittivity if base is not None else None
-        if self.permittivity is not None:
-            permittivity = permittivity_matrix(self.permittivity)
-        if permittivity is None and self.piezo is not None:
-            raise SceneError("permittivity", "none, though piezo is given", "a permittivity wherever there is piezo")
-        source = f"the scene, from {self.like}" if base is not None else "the scene"
-        material = Material(self._stiffness(base), piezo, permittivity, source)
-        try:
-            material.check()
-        except ValueError as error:
-            part, _, reason = str(error).partition(" ")
-            raise SceneError(part, f"a matrix that {reason}", "a symmetric positive definite matrix") from None
-        return material
-
-    def _stiffness(self, base: Material | None) -> NDArray[np.float64]:
-        """The stiffness as given, or of young and poisson, one of which an isotropic `base` may give."""
-        if self.stiffness is not None:
-            return np.array(self.stiffness, float)
-        if self.young is not None and self.poisson is not None:
-            return Material.isotropic(self.young, self.poisson).stiffness
-        if self.young is None and self.poisson is None:
-            return base.stiffness
-        ratio = base.stiffness[0, 1] / (base.stiffness[0, 0] + base.stiffness[0, 1])
-        modulus = 2 * (1 + ratio) * base.stiffness[5, 5]
-        if not np.allclose(Material.isotropic(modulus, ratio).stiffness, base.stiffness, rtol=1e-10):
-            missing = "poisson" if self.poisson is None else "young"
-            raise SceneError(missing, f"none, and {self.like} is not isotropic", "young and poisson together")
-        return Material.isotropic(self.young or modulus, ratio if self.poisson is None else self.poisson).stiffness
 
 
 class Boundary(Keys):
@@ -243,6 +130,26 @@ class Plane(Keys):
     def motion_share(self, factors: dict[str, float]) -> float:
         """Share of `motion` at these load factors; without any factors only a plane moved from the start has moved."""
         return factors.get(self.follows, 0.0) if self.follows is not None else 1.0
+
+
+class Electrode(Keys):
+    """[[electrodes]]: metal on facet groups, bodies and planes, all at one potential; absent: insulators."""
+
+    name: Name = Field(description="names its columns of the history")
+    on: Annotated[list[Name], Field(min_length=1)] = Field(
+        description='facet groups, bodies and planes, or patterns of them such as "cap_*"'
+    )
+    potential: float | None = Field(None, description="V; without potential and charge: open, no net charge")
+    charge: float | None = Field(None, description="pC, the net charge of an open electrode")
+    follows: Name | None = Field(None, description="load factor on the potential or charge; absent: constant")
+
+    @model_validator(mode="after")
+    def _one_condition(self) -> Self:
+        if self.potential is not None and self.charge is not None:
+            raise SceneError("charge", "both potential and charge", "either potential or charge")
+        if self.follows is not None and self.potential is None and self.charge is None:
+            raise SceneError("follows", shown(self.follows), "nothing without potential or charge")
+        return self
 
 
 class Adhesion(Keys):

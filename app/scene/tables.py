@@ -21,6 +21,7 @@ UNITS = (
     ("stress, pressure, stiffness", "MPa", "= uN/um2"),
     ("potential", "V", ""),
     ("charge", "pC", ""),
+    ("capacitance", "pC/V", "= pF"),
     ("energy", "pJ", "= uN um = pC V"),
     ("permittivity", "pC/(V um)", "= 1e-6 F/m; vacuum: 8.854e-6"),
     ("piezoelectric stress constants", "pC/um2", "= C/m2"),

@@ -89,11 +89,12 @@ class ActiveSetPrediction:
                 self.linear.linearize(x)  # with more candidates
             problem.linearized_contact_residual(change, self._work)
             self._right.axpy(-1.0, self._work)
-            problem.model.constraints.set_zero(self._right)
+            problem.model.constraints.reduce(self._right)
             with problem.timer("linear_solve"):
                 ksp.setOperators(*self.linear.operators)
                 with self.linear.callback_errors.raised():
                     ksp.solve(self._right, self._work)
+            problem.model.constraints.expand(self._work)
             change.axpy(1.0, self._work)
             report.krylov += ksp.getIterationNumber()
         best.copy(change)

@@ -75,6 +75,7 @@ def _motions(model: Model) -> PETSc.Mat:
         values.append(basis.ravel())
         count += basis.shape[1]
     entries = [np.concatenate([np.zeros(0, int), *parts]) for parts in (values, rows, columns)]
+    n += model.unknowns.references_here  # which have none
     local = scipy.sparse.csr_matrix((entries[0], (entries[1], entries[2])), shape=(n * d, count))
     start = model.comm.exscan(count) or 0
     csr = local.indptr.astype(PETSc.IntType), (local.indices + start).astype(PETSc.IntType), local.data

@@ -5,6 +5,7 @@ With K the constant part of the tangent and C the contact's part, which lives on
     (K + C) x = r   is   (S + C) x_c = r_c - K_ci K_ii^-1 r_i,   S = K_cc - K_ci K_ii^-1 K_ic,
 
 and then the interior x_i follows from x_c. Bodies do not share nodes: each is factorized by itself, on one rank.
+Reference nodes are candidates, and each body has a copy of them: what couples it to them is in its own factors.
 
 Where the interior is in balance, Newton's method needs x_c alone (the reduced problem): the residual at the candidates
 changes by S times their change, and the interior is recovered once, when the iterations have ended. That saves 13 to
@@ -16,10 +17,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.ghost_scatter import GhostScatter
 from piezomat.solver.mumps_schur import SchurFactors
@@ -48,7 +50,9 @@ class Condensation:
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.unknowns.block
         self._unknowns = problem.model.unknowns.numbers
-        self.candidates = np.zeros(0, np.int64)
+        unknowns = problem.model.unknowns
+        self._references = unknowns.total // self.block + np.arange(unknowns.references)
+        self.candidates = self._references
         motion = problem.model.prescription.largest_motion() or problem.contact.least_search_radius()
         self._distance = CANDIDATE_DISTANCE * motion
         problem.contact.set_candidate_distance(self._distance)
@@ -56,11 +60,15 @@ class Condensation:
         self.factor_solves = 0
         self._stiffness_version = -1  # of the bulk that is condensed
         self._factors = SchurFactors()
-        self._parts = self._divide()
+        self._parts, holds_references = self._divide()
         self._nodes = np.concatenate([np.zeros(0, np.int64), *self._parts])
-        unknowns = self._unknowns(self._nodes)
-        self._fixed = np.isin(unknowns, np.concatenate(self.comm.allgather(problem.model.constraints.fixed_global)))
-        self._scatter = GhostScatter(problem.state, PETSc.IS().createGeneral(unknowns, comm=MPI.COMM_SELF))
+        numbers = self._unknowns(self._nodes)
+        eliminated = np.concatenate(self.comm.allgather(problem.model.constraints.eliminated_global))
+        self._eliminated = np.isin(numbers, eliminated)
+        self._scatter = GhostScatter(problem.state, PETSc.IS().createGeneral(numbers, comm=MPI.COMM_SELF))
+        # The reference nodes' unknowns in the bodies that have copies of them: all but one, which holds their forces.
+        counts = [len(part) * self.block for part in self._parts]
+        self._is_copy = np.repeat(~np.array(holds_references, bool), counts) & (numbers >= unknowns.total)
 
     def close(self) -> None:
         """Free the factors: 100 MB of 65,000 unknowns in 2D, which would stay until garbage is collected. Ends its use.
@@ -103,19 +111,14 @@ class Condensation:
         matrices = bulk.createSubMatrices(sets, sets)
         bulk.destroy()
         give_back_memory()
-        shifts, places, first = [np.zeros(0)], [np.zeros(0, np.int64)], 0
+        shifts, places, complements, first = [np.zeros(0)], [np.zeros(0, np.int64)], [], 0
         self._factors = SchurFactors()
         singular = False
         for part, matrix in zip(self._parts, matrices, strict=True):
             outer = self._unknowns(np.flatnonzero(np.isin(part, candidates)))
-            # Unconstrained parts leave K singular: springs of the bulk's own stiffness are added at the candidates, and
-            # subtracted from S. The potential's block is negative.
-            diagonal = matrix.getDiagonal()
             places.append(first + outer.astype(np.int64))
+            shifts.append(self._shifted(matrix, outer, self._is_copy[places[-1]]))
             first += len(part) * b
-            shifts.append(diagonal.array_r[outer].copy())
-            diagonal.array[outer] += shifts[-1]
-            matrix.setDiagonal(diagonal)
             try:
                 self._factors.add(matrix, outer)
             except PETSc.Error:  # a zero pivot
@@ -125,25 +128,46 @@ class Condensation:
             raise SolveError(SINGULAR)
         give_back_memory()
         self._shift, self._kept = np.concatenate(shifts), np.concatenate(places)
-        reduced = self._factors.complement() - np.diag(self._shift)
+        complements = [s - np.diag(shift) for s, shift in zip(self._factors.complements, shifts[1:], strict=True)]
         unknowns = self._unknowns(candidates)
-        self._reduced_rows = np.searchsorted(unknowns, self._unknowns(self._nodes)[self._kept])
-        gathered = self.comm.gather((self._reduced_rows, reduced, ~self._fixed[self._kept]))
+        numbers = self._unknowns(self._nodes)
+        rows = [np.searchsorted(unknowns, numbers[at]) for at in places[1:]]
+        self._reduced_rows = np.concatenate([np.zeros(0, np.int64), *rows])
+        gathered = self.comm.gather((rows, complements, ~self._eliminated[self._kept], self._reduced_rows))
         self._last_interior = np.zeros(first), np.zeros(len(self._kept))  # forces, and their effect on the candidates
         self._reduced: Array | None = None
         if gathered is not None:
             self._reduced = np.zeros((len(unknowns), len(unknowns)))
             self._free = np.zeros(len(unknowns), bool)
-            for at, part, free in gathered:
-                self._reduced[np.ix_(at, at)] = part
-                self._free[at] = free
+            for rows, complements, free, every in gathered:
+                for at, complement in zip(rows, complements, strict=True):
+                    self._reduced[np.ix_(at, at)] += complement
+                self._free[every] = free
+
+    def _shifted(self, matrix: PETSc.Mat, outer: NDArray[np.int32], is_copy: Booleans) -> Array:
+        """Add springs to a body's matrix at its candidates, and return them, to be subtracted from the complement.
+
+        Unconstrained bodies leave K singular: the springs are as stiff as the bulk there. The potential's block is
+        negative. A reference node without stiffness, as every copy is, has springs like the stiffest node.
+        """
+        matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATIONS, False)  # which are zero without being written
+        copies = outer[is_copy]
+        matrix.setValues(copies, copies, np.zeros(len(copies) ** 2))
+        matrix.assemble()
+        diagonal = matrix.getDiagonal()
+        shift = diagonal.array_r[outer].copy()
+        signs = np.where(outer % self.block == self.problem.model.dim, -1.0, 1.0)
+        shift = np.where(shift == 0.0, signs * np.abs(diagonal.array_r).max(initial=0.0), shift)
+        diagonal.array[outer] += shift
+        matrix.setDiagonal(diagonal)
+        return shift
 
     def _add(self, nodes: Integers, matrices: Array) -> None:
         """Factorize the condensed bulk with the contact's matrices of these nodes added."""
         b, n = self.block, len(self.candidates) * self.block
-        rows = (np.searchsorted(self.candidates, nodes)[:, :, None] * b + np.arange(b)).reshape(
-            len(nodes), nodes.shape[1] * b
-        )
+        image = self.problem.model.constraints.ties.image
+        numbers = image((nodes[:, :, None] * b + np.arange(b)).reshape(len(nodes), nodes.shape[1] * b))
+        rows = np.searchsorted(self.candidates, numbers // b) * b + numbers % b
         places = (rows[:, :, None] * n + rows[:, None, :]).ravel()
         places, first = np.unique(places, return_inverse=True)
         values = np.bincount(first, matrices.ravel(), minlength=len(places))
@@ -170,7 +194,7 @@ class Condensation:
         residual = self.problem.bulk_residual(x)
         r = self._scatter.gather(residual)
         scale = np.abs(r).max(initial=0.0)
-        r[self._fixed] = 0.0
+        r[self._eliminated] = 0.0
         if self._is_balanced(r, scale):
             self._base, self._base_residual = self._scatter.gather(x), residual
             self.problem.condensed, self.candidates_exceeded = self, False
@@ -178,7 +202,7 @@ class Condensation:
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Residual of the bulk at x, its interior in balance; at prescribed unknowns still that of `start`."""
         self._base_residual.copy(result)
-        change = (self._scatter.gather(x) - self._base)[self._kept]
+        change = self._change(x)[self._kept]
         added = np.zeros_like(self._base)
         added[self._kept] = self._factors.reduced(change) - self._shift * change
         self._scatter.add(added, result)
@@ -187,7 +211,7 @@ class Condensation:
         """Bring the interior of x into balance and end the reduction; whether contact has exceeded the candidates."""
         if not self.is_reduced:
             return False
-        change = self._scatter.gather(x) - self._base
+        change = self._change(x)
         change[self._kept] = self._factors.reduced(change[self._kept])
         change = self._solve(change)
         change[self._kept] = 0.0
@@ -195,6 +219,13 @@ class Condensation:
         exceeded = self.candidates_exceeded
         self.discard()
         return exceeded
+
+    def _change(self, x: PETSc.Vec) -> Array:
+        """Change of the candidates since `start`, zero elsewhere and at the eliminated unknowns."""
+        change = np.zeros_like(self._base)
+        change[self._kept] = (self._scatter.gather(x) - self._base)[self._kept]
+        change[self._eliminated] = 0.0
+        return change
 
     def discard(self) -> None:
         """End the reduction; the interior stays where it is, and is solved for again."""
@@ -210,6 +241,7 @@ class Condensation:
     def solve(self, right: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = (K + C)^-1 right; of a reduced problem at the candidates alone. Not numbers where it is singular."""
         r = self._scatter.gather(right)
+        r[self._is_copy] = 0.0
         outer = r[self._kept]
         condensed = outer
         if not self.is_reduced:
@@ -221,7 +253,7 @@ class Condensation:
         if gathered is not None:
             whole = np.zeros(len(self._reduced))
             for at, part in gathered:
-                whole[at] = part
+                np.add.at(whole, at, part)
             if self._lu is not None:
                 whole = scipy.linalg.lu_solve(self._lu, whole, check_finite=False)
         change = self.comm.bcast(whole)[self._reduced_rows]
@@ -231,6 +263,7 @@ class Condensation:
         else:
             r[self._kept] = self._factors.reduced(change) + outer - condensed
             r = self._solve(r)
+        r[self._is_copy] = 0.0
         result.set(0.0)
         self._scatter.add(r, result)
 
@@ -249,8 +282,11 @@ class Condensation:
         self.factor_solves += 1
         return self._factors.solve(right)
 
-    def _divide(self) -> list[Integers]:
-        """Nodes of each part of this rank, sorted: whole parts, the largest first to the rank with the least."""
+    def _divide(self) -> tuple[list[Integers], list[bool]]:
+        """Nodes of each part of this rank, sorted, and whether it holds the forces of the reference nodes at their end.
+
+        Parts are whole; the largest comes first, to the rank with the least.
+        """
         model = self.problem.model
         start = model.unknowns.first_node
         owned = model.parts.node_part[: model.unknowns.owned]
@@ -262,4 +298,6 @@ class Condensation:
             load[rank_of[part]] += count[part]
         here = [np.flatnonzero(rank_of[owned] == rank) for rank in range(self.comm.size)]
         nodes, parts = np.concatenate(self.comm.alltoall([np.stack([start + n, owned[n]]) for n in here]), axis=1)
-        return [np.sort(nodes[parts == part]) for part in np.unique(parts)]
+        numbers = np.unique(parts)
+        divided = [np.concatenate([np.sort(nodes[parts == part]), self._references]) for part in numbers]
+        return divided, [bool(part == 0) for part in numbers]

@@ -147,12 +147,13 @@ class Multigrid:
 
 
 def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
-    """Orthonormal rigid modes of the whole model."""
-    x = model.unknowns.coordinates[: model.unknowns.owned]
-    modes = rigid_modes(x)
+    """Orthonormal rigid modes of the whole model, in which reference nodes do not move."""
+    unknowns = model.unknowns
+    modes = rigid_modes(unknowns.coordinates[: unknowns.owned])
+    modes = np.concatenate([modes, np.zeros((unknowns.references_here, *modes.shape[1:]))])
     vectors = []
     for k in range(modes.shape[2]):
-        vector = PETSc.Vec().createMPI((model.unknowns.owned * model.dim, None), bsize=model.dim, comm=comm)
+        vector = PETSc.Vec().createMPI((len(modes) * model.dim, None), bsize=model.dim, comm=comm)
         vector.array[:] = modes[:, :, k].ravel()
         vectors.append(vector)
     for i, vector in enumerate(vectors):

@@ -6,7 +6,6 @@ import ctypes
 
 import numpy as np
 import petsc4py.PETSc
-import scipy.linalg
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -20,12 +19,14 @@ class SchurFactors:
     """LDL^T of symmetric matrices of this rank, with the Schur complements of some of their unknowns. Not collective.
 
     The matrices are the blocks of one: vectors are those of the blocks, one after the other.
+
+    complements: the Schur complement of each block
     """
 
     def __init__(self) -> None:
         self._factors: list[PETSc.Mat] = []
         self._vectors: list[tuple[PETSc.Vec, PETSc.Vec]] = []
-        self._complements: list[Array] = []
+        self.complements: list[Array] = []
 
     def add(self, matrix: PETSc.Mat, kept: NDArray[np.int32]) -> None:
         """Factorize one more matrix, and destroy it; `kept` (n,), sorted: unknowns of its Schur complement."""
@@ -48,7 +49,7 @@ class SchurFactors:
         pc.setUp()
         self._factors.append(factor)
         self._vectors.append(matrix.createVecs())
-        self._complements.append(_schur_complement(factor, len(kept)) if condense else complement)
+        self.complements.append(_schur_complement(factor, len(kept)) if condense else complement)
         # The factors do not need these, which would live until garbage is collected.
         pc.destroy()
         matrix.destroy()
@@ -60,16 +61,12 @@ class SchurFactors:
         for vectors in self._vectors:
             for vector in vectors:
                 vector.destroy()
-        self._factors, self._vectors, self._complements = [], [], []
-
-    def complement(self) -> Array:
-        """The Schur complement (n, n) of all kept unknowns."""
-        return scipy.linalg.block_diag(np.zeros((0, 0)), *self._complements)
+        self._factors, self._vectors, self.complements = [], [], []
 
     def reduced(self, kept: Array) -> Array:
         """The Schur complement times a vector (n,)."""
         result, first = np.zeros_like(kept), 0
-        for complement in self._complements:
+        for complement in self.complements:
             part = slice(first, first := first + len(complement))
             result[part] = complement @ kept[part]
         return result

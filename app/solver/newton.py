@@ -19,10 +19,12 @@ from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Solver
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.callbacks import callback, not_numbers, nothing
+from piezomat.solver.capacitance import capacitance_matrix
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
@@ -69,7 +71,7 @@ class Newton:
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._residual_at, self._residual)
         self.snes.setConvergenceTest(self._test_convergence)
-        if problem.contact is not None:
+        if problem.contact is not None or problem.model.constraints.ties:
             self.snes.setLineSearchPreCheck(self._adapt_step)
         self._options_are_checked = False
         try:
@@ -104,6 +106,12 @@ class Newton:
             if condensation is not None:
                 report.factor_solves += condensation.factor_solves - before
                 report.candidates = len(condensation.candidates)
+
+    def capacitance(self) -> Array | None:
+        """Capacitance matrix of the electrodes at the problem's state, see `capacitance_matrix`; None without any."""
+        if not self.problem.model.constraints.electrodes:
+            return None
+        return capacitance_matrix(self.problem, self.linear, self.snes)
 
     def _solve(self, search_radius: float) -> None:
         problem, report = self.problem, self._report
@@ -186,8 +194,11 @@ class Newton:
 
     @callback(instead=nothing)
     def _adapt_step(self, x: PETSc.Vec, step: PETSc.Vec) -> None:
-        """Correct SNES's step (x becomes x - step) by predicted contact forces, and shorten it."""
+        """Complete SNES's step (x becomes x - step) at tied unknowns; correct it by predictions, and shorten it."""
         self._timed_linear_solve.close()
+        self.problem.model.constraints.expand(step)
+        if self.problem.contact is None:
+            return
         step.scale(-1.0)
         self.prediction.correct(x, step, self._report.residuals[-1], self._report)
         step.scale(-1.0)

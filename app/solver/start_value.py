@@ -12,8 +12,9 @@ from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
-from piezomat.solver.convergence import Convergence, require_linear_solve
+from piezomat.solver.convergence import Convergence
 from piezomat.solver.linear import LinearSolver
+from piezomat.solver.linear_solve import solve
 from piezomat.solver.outcome import NewtonReport
 
 
@@ -48,11 +49,12 @@ class StartValue:
         prescribed = problem.prescribed_change()
         self.linear.linearize(problem.state)
         problem.multiply(prescribed, step)
+        problem.model.constraints.reduce(step)
         right.axpy(-1.0, step)
-        right.array[fixed] = 0.0
         self.convergence.add_reference(right)
         right.array[fixed] = prescribed.array_r[fixed]
-        self._solve(self.linear.close_tolerance if closely else self.linear.start_tolerance)
+        tolerance = self.linear.close_tolerance if closely else self.linear.start_tolerance
+        solve(problem, self.linear, self.snes, right, step, tolerance)
         report.iterations += 1
         report.krylov += self.snes.getKSP().getIterationNumber()
         if self.prediction.is_cheap:
@@ -61,16 +63,4 @@ class StartValue:
             self.linear.condensation.start(right)
         self.prediction.correct(problem.state, step, 1.0, report)
         problem.state.axpy(1.0, step)
-        problem.state.array[fixed] = problem.prescribed_values
-
-    def _solve(self, tolerance: float | None) -> None:
-        ksp, inexact = self.snes.getKSP(), self.snes.getUseEW()
-        ksp.setOperators(*self.linear.operators)
-        if tolerance is not None:
-            # Eisenstat and Walker's rule is for Newton's steps, and would change the tolerance of this solve too.
-            self.snes.setUseEW(False)
-            ksp.setTolerances(rtol=tolerance)
-        with self.problem.timer("linear_solve"), self.linear.callback_errors.raised():
-            ksp.solve(self._right, self._change)
-        self.snes.setUseEW(inexact)
-        require_linear_solve(ksp, self.linear.failure)
+        problem.take_prescribed_values()

@@ -9,7 +9,7 @@ from piezomat.solver.callbacks import CallbackErrors, callback, not_numbers
 
 
 class TangentOperator:
-    """The tangent of a problem's last linearization, its prescribed unknowns eliminated, as PETSc's shell matrix.
+    """The tangent of a problem's last linearization, as PETSc's shell matrix.
 
     matrix: that shell; callback_errors: those of `mult`, which PETSc calls. Every method is collective.
     """
@@ -28,9 +28,11 @@ class TangentOperator:
 
     @callback(instead=not_numbers)
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = tangent times x."""
+        """result = T^T K T x, and x at the eliminated unknowns."""
         constraints = self.problem.model.constraints
         x.copy(self._free)
-        constraints.set_zero(self._free)
+        self._free.array[constraints.eliminated] = 0.0
+        constraints.expand(self._free)
         self.problem.multiply(self._free, result)
-        result.array[constraints.fixed] = x.array_r[constraints.fixed]
+        constraints.reduce(result)
+        result.array[constraints.eliminated] = x.array_r[constraints.eliminated]

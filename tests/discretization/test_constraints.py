@@ -58,11 +58,47 @@ def test_elimination_and_zeros(comm: MPI.Comm) -> None:
     model = blocks(comm, boundaries=ROWS, load={"steps": [1], "factors": {"push": [1.0]}})
     constraints, vector = model.constraints, model.new_vector()
     vector.set(1.0)
-    constraints.set_zero(vector)
+    constraints.reduce(vector)
     np.testing.assert_array_equal(vector.array_r == 0.0, constraints.is_fixed.ravel())
     first, last = vector.getOwnershipRange()
-    np.testing.assert_array_equal(constraints.fixed_global, first + constraints.fixed)
+    np.testing.assert_array_equal(constraints.eliminated_global, first + constraints.fixed)
     assert last - first == constraints.is_fixed.size
+
+
+def test_ties(comm: MPI.Comm) -> None:
+    """T and its transpose, for two electrodes, one of which a source holds."""
+    electrodes = [
+        {"name": "left", "on": ["left"]},
+        {"name": "right", "on": ["right"], "potential": 2.0, "follows": "push"},
+    ]
+    rows = [{"on": "bottom", "displacement": [0, 0], "follows": "push"}]
+    model = blocks(comm, boundaries=rows, electrodes=electrodes, load={"steps": [1], "factors": {"push": [1.0]}})
+    constraints, unknowns, vector = model.constraints, model.unknowns, model.new_vector()
+    x, scale = unknowns.coordinates[: unknowns.owned], model.potential_scale
+    state = np.zeros((unknowns.owned + unknowns.references_here, unknowns.block))
+    state[: unknowns.owned, 2] = -1.0
+    if unknowns.references_here:
+        state[unknowns.owned :, 2] = [5.0, 7.0]
+    vector.array[:] = state.ravel()
+    constraints.expand(vector)
+    np.testing.assert_array_equal(constraints.ties.values(vector), [5.0, 7.0])
+    tied = [electrode.nodes for electrode in constraints.electrodes]
+    # The upper block has no permittivity, and so no part in an electrode.
+    lower = model.parts.node_part[: unknowns.owned] == 0
+    assert comm.allreduce(len(tied[0])) == comm.allreduce(int((np.isclose(x[:, 0], 0.0) & lower).sum())) > 0
+    found = unknowns.potentials(vector)
+    np.testing.assert_array_equal(found[tied[0]], 5.0)
+    np.testing.assert_array_equal(found[tied[1]], 7.0)
+    assert (np.delete(found, np.concatenate(tied)) == -1.0).all()
+    vector.set(1.0)
+    sums = constraints.ties.sums(vector)
+    np.testing.assert_array_equal(sums, [1.0 + comm.allreduce(len(nodes)) for nodes in tied])
+    constraints.reduce(vector)
+    np.testing.assert_array_equal(constraints.ties.values(vector), [sums[0], 0.0])
+    np.testing.assert_array_equal(vector.array_r[constraints.eliminated], 0.0)
+    values = constraints.values({"push": 3.0})
+    if unknowns.references_here:
+        assert values[-1] * scale == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -380,6 +380,7 @@ def test_summary_has_the_keys_of_the_contract(comm: MPI.Comm, shared_tmp_path: P
         "dofs": np.int64(12),
         "cells": 4,
         "bodies": ("lower", "upper"),
+        "capacitance": {"electrodes": [], "matrices": []},
         "timings": Timer().timings(comm),
         "shares": {"dofs": [12]},
     }

@@ -1,0 +1,27 @@
+"""Voltage and charge of the electrodes at a converged state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from piezomat.assembly.problem import Problem
+
+
+@dataclass(frozen=True)
+class ElectrodeState:
+    """An electrode's potential, V, and its free charge, pC (2D: pC/um)."""
+
+    voltage: float
+    charge: float
+
+
+def electrode_states(problem: Problem) -> list[ElectrodeState]:
+    """State of each electrode at the last residual, in the order of the scene. Collective."""
+    model, ties = problem.model, problem.model.constraints.ties
+    if not ties:
+        return []
+    voltages = model.potential_scale * ties.values(problem.state)
+    # The residual is that of what lies in the bodies, across contacts, and of the charges given: without these it is
+    # minus the charge.
+    charges = (ties.sums(problem.loads.vector) - ties.sums(problem.residual_with_reactions)) / model.potential_scale
+    return [ElectrodeState(float(v), float(q)) for v, q in zip(voltages, charges, strict=True)]
