@@ -17,7 +17,8 @@ from piezomat.scene.errors import SceneError, shown
 # Potentials that differ by less than this share of the largest voltage are equal.
 EQUAL = 1e-9
 
-Electrodes = tuple[int, int]  # numbers of boundaries; of planes those after all boundaries
+# Numbers of boundaries; of planes those after all boundaries; of rows [[electrodes]] those after all planes.
+Electrodes = tuple[int, int]
 
 
 def check_short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) -> None:
@@ -31,14 +32,15 @@ def check_short_circuit(model: Model, contact: Interfaces, factors: dict[str, fl
     constraints = model.constraints
     potentials = ~constraints.fixed_displacements()
     state.array[constraints.fixed[potentials]] = constraints.values(factors)[potentials]
+    constraints.expand(state)
     contact.evaluate(state, tangent=False)
     found = _first(model, contact)
     state.destroy()
     if found is None:
         return
     one, other = (_described(model, number, factors) for number in found)
-    boundaries, last = len(model.scene.boundaries), max(found)
-    key = f"boundaries[{last}]" if last < boundaries else f"planes[{last - boundaries}]"
+    section, index = _row(model, max(found))
+    key = f"{section}[{index}]"
     raise SceneError(
         f"{key}.potential",
         f"{other} in contact with {one}, a short circuit",
@@ -57,20 +59,34 @@ def short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) 
 
 def _possible(model: Model, contact: Interfaces) -> bool:
     """Whether there are two electrodes, and a contact that passes charges."""
-    given = [row.potential for row in model.scene.boundaries] + [plane.potential for plane in model.scene.planes]
+    scene = model.scene
+    given = [row.potential for row in (*scene.boundaries, *scene.planes, *scene.electrodes)]
     some = any(p.law.electric_penalty is not None for p in contact.point_sets)
     return model.electric and some and sum(potential is not None for potential in given) > 1
 
 
 def _described(model: Model, number: int, factors: dict[str, float]) -> str:
     """An electrode with its potential."""
-    boundaries = model.scene.boundaries
-    if number < len(boundaries):
-        row = boundaries[number]
-        return f"{shown(row.on)} at {load_factor(row, factors) * row.potential:g} V"
-    plane = model.scene.planes[number - len(boundaries)]
+    scene, (section, index) = model.scene, _row(model, number)
+    if section != "planes":
+        row = scene.boundaries[index] if section == "boundaries" else scene.electrodes[index]
+        name = row.on if section == "boundaries" else row.name
+        return f"{shown(name)} at {load_factor(row, factors) * row.potential:g} V"
+    plane = scene.planes[index]
     share = factors.get(plane.potential_follows, 0.0) if plane.potential_follows is not None else 1.0
     return f"{shown(plane.name)} at {share * plane.potential:g} V"
+
+
+def _row(model: Model, number: int) -> tuple[str, int]:
+    """The section and the row of the scene that a number of an electrode stands for."""
+    boundaries, planes = len(model.scene.boundaries), len(model.scene.planes)
+    if number < boundaries:
+        return "boundaries", number
+    return (
+        ("planes", number - boundaries)
+        if number < boundaries + planes
+        else ("electrodes", number - boundaries - planes)
+    )
 
 
 def _first(model: Model, contact: Interfaces) -> Electrodes | None:
@@ -86,27 +102,35 @@ def _first(model: Model, contact: Interfaces) -> Electrodes | None:
 
 
 def _electrodes(model: Model) -> PETSc.Vec:
-    """Number of the boundary that prescribes the potential of a node, plus 1, in a vector like the state."""
+    """Number of the electrode that prescribes the potential of a node, plus 1, in a vector like the state."""
     vector = model.new_vector()
     values = np.zeros((model.unknowns.owned, model.unknowns.block))
     for number, condition in enumerate(model.constraints.conditions):
         fixed = condition.fixed.get(model.dim)
         if fixed is not None:
             values[fixed // model.unknowns.block, 0] = number + 1
+    for e in model.constraints.electrodes:
+        if e.electrode.potential is not None:
+            values[e.nodes, 0] = len(model.scene.boundaries) + len(model.scene.planes) + e.reference + 1
     vector.array[: values.size] = values.ravel()
     return vector
 
 
 def _meeting(model: Model, contact: Interfaces, electrode: Integers, least: float) -> Iterator[Electrodes]:
     """Numbers of electrodes, (lower, higher), of which facets meet with a jump of the potential and a charge."""
-    planes = len(model.scene.boundaries)
+    boundaries, planes = len(model.scene.boundaries), len(model.scene.planes)
+    of_plane = {plane.name: boundaries + number for number, plane in enumerate(model.scene.planes)}
+    for e in model.constraints.electrodes:
+        # A plane of an open electrode prescribes nothing.
+        number = -1 if e.electrode.potential is None else boundaries + planes + e.reference
+        of_plane |= dict.fromkeys(e.planes, number)
     for p in contact.point_sets:
         if p.jump is None or p.response is None:
             continue
         live = np.flatnonzero((np.abs(p.jump) > least) & (p.response.charge != 0.0))
         ours = electrode[p.slave_nodes[p.points.facet[p.projected_points[live]]]]
         if isinstance(p, RigidPlane):
-            theirs = np.full_like(ours, planes + model.scene.planes.index(p.plane))
+            theirs = np.full_like(ours, of_plane[p.name])
         else:
             theirs = electrode[p.facets.master_nodes[p.master_facet[live]]]
         metal = _all_given(ours) & _all_given(theirs)

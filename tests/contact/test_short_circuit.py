@@ -50,6 +50,23 @@ def test_electrodes_at_one_potential_have_the_charge_of_the_closed_form(comm: MP
     assert row["charge@lower_contact"] == pytest.approx(0.1521, abs=5e-5)
 
 
+def test_electrodes_of_their_own_at_different_potentials_may_not_touch(comm: MPI.Comm) -> None:
+    """Rows [[electrodes]], against each other and against a boundary; an open one may touch any other."""
+    rows = layers(0.0, 0.0).model_dump(exclude_none=True)["boundaries"]
+    lower = {"name": "one", "on": ["lower_contact"], "potential": 10.0}
+    upper = {"name": "other", "on": ["upper_contact"], "potential": 0.0}
+    with pytest.raises(SceneError, match='"other" at 0 V in contact with "one" at 10 V') as caught:
+        run(layers(0.0, 0.0, boundaries=rows[:4], electrodes=[lower, upper]), comm)
+    assert caught.value.key == "electrodes[1].potential"
+    with pytest.raises(SceneError, match='"one" at 10 V in contact with "upper_contact" at 0 V') as caught:
+        run(layers(0.0, 0.0, boundaries=[*rows[:4], rows[5]], electrodes=[lower]), comm)
+    assert caught.value.key == "electrodes[0].potential"
+    touching = run(
+        layers(0.0, 0.0, boundaries=rows[:4], electrodes=[lower, {"name": "other", "on": ["upper_contact"]}]), comm
+    )
+    assert 5.0 < touching.history[-1]["voltage@other"] <= 10.0
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("depth", [False, True])
 @pytest.mark.parametrize("method", ["point", "node", "segment"])

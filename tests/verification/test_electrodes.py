@@ -57,7 +57,6 @@ def test_a_floating_electrode_divides_the_voltage(dimension: int) -> None:
     assert row["charge@top"] == pytest.approx(10.0 * one * other / (one + other), rel=EXACT)
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["direct", "iterative"])
 def test_charge_put_on_a_floating_electrode(kind: str) -> None:
     ends = [{"name": "lid", "on": ["top"], "potential": 10.0}, {"name": "ground", "on": ["bottom"], "potential": 0.0}]
@@ -78,7 +77,6 @@ def test_charge_put_on_a_floating_electrode(kind: str) -> None:
     assert row["voltage@lid"] == pytest.approx(charge / one, rel=EXACT)
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("material", "sides", "voltage", "charge", "capacitance"),
     [
@@ -136,7 +134,6 @@ SOLVERS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_an_electrode_at_a_potential_is_a_boundary_at_it(dimension: int, solver: str) -> None:
@@ -181,7 +178,6 @@ def test_solvers_and_ranks_agree(dimension: int) -> None:
         assert row["elastic"] == pytest.approx(condensed["elastic"], rel=1e-7)
 
 
-@pytest.mark.mpi
 def test_finite_kinematics_with_an_open_electrode() -> None:
     """Another path of the tangent, which is assembled anew in each iteration; the energies balance."""
     history = run(
@@ -259,7 +255,6 @@ def test_capacitance_is_the_slope_of_the_charge(solver: str) -> None:
     assert high["voltage@lid"] - low["voltage@lid"] == pytest.approx(2.0 * small, rel=1e-4)
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_open_voltage_times_capacitance_is_the_charge_of_a_short_circuit(dimension: int) -> None:
     rows = pressed(dimension).model_dump(exclude_none=True)["boundaries"]
