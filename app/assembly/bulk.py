@@ -57,12 +57,12 @@ class Bulk:
 
 def with_reference_nodes(matrix: PETSc.Mat, unknowns: Unknowns) -> PETSc.Mat:
     """A matrix with the places of an assembled one, which it replaces, and those of reference nodes. Collective."""
-    b, here = unknowns.block, unknowns.references_here
+    b, rows = unknowns.block, unknowns.references_here * unknowns.block
     pointer, columns, _ = matrix.getValuesCSR()
-    first = unknowns.total + b * np.arange(here)  # of this rank's reference nodes, each with a block on the diagonal
-    blocks = np.repeat(first, b)[:, None] + np.arange(b)
-    columns = np.concatenate([columns, blocks.ravel()]).astype(PETSc.IntType)
-    pointer = np.concatenate([pointer, pointer[-1] + b * np.arange(1, b * here + 1)]).astype(PETSc.IntType)
+    # All reference nodes are coupled, by circuits; they are of one rank.
+    every = np.tile(unknowns.total + np.arange(rows), rows)
+    columns = np.concatenate([columns, every]).astype(PETSc.IntType)
+    pointer = np.concatenate([pointer, pointer[-1] + rows * np.arange(1, rows + 1)]).astype(PETSc.IntType)
     sizes = (len(pointer) - 1, unknowns.total + unknowns.references * b)
     csr = pointer, columns, np.zeros(len(columns))
     result = PETSc.Mat().createAIJ((sizes, sizes), bsize=b, csr=csr, comm=matrix.comm.tompi4py())

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.bulk import Bulk
+from piezomat.assembly.circuits import Circuits
 from piezomat.assembly.nodal_loads import NodalLoads
 from piezomat.assembly.stabilization_stiffness import StabilizationStiffness
 from piezomat.assembly.tangent_matrix import TangentMatrix
@@ -40,7 +41,7 @@ class Problem:
     G being the stabilization stiffness with its factor s, and x_n the last converged state.
 
     model, contact: what is solved; contact is None without interfaces
-    bulk, loads, stabilization: the other terms
+    bulk, loads, circuits, stabilization: the other terms
     state: x
     converged_state: x_n
     prescribed_values (k,): of the fixed unknowns at the present load level, in the order of `Constraints.fixed`
@@ -64,6 +65,7 @@ class Problem:
         with timer("assembly"):
             self.bulk = Bulk(model)
             self.loads = NodalLoads(model)
+            self.circuits = Circuits(model)
             self.stabilization = StabilizationStiffness(model, self.converged_state)
             self._stiffness = self.bulk.new_matrix()  # all but contact
             self._assemble_stiffness()
@@ -176,6 +178,7 @@ class Problem:
             self.bulk.assemble_residual(result)
             if self.loads.follow_state:
                 self.loads.assemble()
+            self.circuits.add_residual(x, result)
         result.axpy(1.0, self.loads.vector)
         self.stabilization.add_residual(None if self.bulk.is_constant else x, result)
 
@@ -242,6 +245,7 @@ class Problem:
         self._stiffness.zeroEntries()
         self.bulk.add_tangent(self._stiffness)
         self.loads.add_tangent(self._stiffness)
+        self.circuits.add_tangent(self._stiffness)
         self._stiffness.assemble()
         self.stabilization.add_tangent(self._stiffness)
 

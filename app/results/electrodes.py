@@ -24,4 +24,5 @@ def electrode_states(problem: Problem) -> list[ElectrodeState]:
     # The residual is that of what lies in the bodies, across contacts, and of the charges given: without these it is
     # minus the charge.
     charges = (ties.sums(problem.loads.vector) - ties.sums(problem.residual_with_reactions)) / model.potential_scale
+    charges = charges - problem.circuits.charges(problem.state)
     return [ElectrodeState(float(v), float(q)) for v, q in zip(voltages, charges, strict=True)]

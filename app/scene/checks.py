@@ -16,7 +16,7 @@ OVERLAP = 0.1  # most that bodies may overlap at the start, as a share of the si
 
 def check(scene: SceneData) -> None:
     """Raise SceneError for the first thing in which the sections of a scene do not fit together."""
-    for part in (names, bodies, mesh, gap, orientations, boundaries, planes, electrodes, contact, load):
+    for part in (names, bodies, mesh, gap, orientations, boundaries, planes, electrodes, circuits, contact, load):
         part(scene)
 
 
@@ -164,6 +164,17 @@ def electrodes(scene: SceneData) -> None:
             raise unknown_name(
                 f"{key}.follows", electrode.follows, "a factor of load.factors", list(scene.load.factors)
             )
+
+
+def circuits(scene: SceneData) -> None:
+    """Circuits connect two different electrodes of the scene."""
+    known = [electrode.name for electrode in scene.electrodes]
+    for index, circuit in enumerate(scene.circuits):
+        for side, name in enumerate(circuit.between):
+            if name not in known:
+                raise unknown_name(f"circuits[{index}].between[{side}]", name, "a name of [[electrodes]]", known)
+        if circuit.between[0] == circuit.between[1]:
+            raise SceneError(f"circuits[{index}].between", circuit.between, "two different electrodes")
 
 
 def _prescribed(row: Boundary) -> list[str]:

@@ -22,6 +22,7 @@ from piezomat.scene.keys import Keys, Name
 from piezomat.scene.material_keys import MaterialKeys
 from piezomat.scene.sections import (
     Boundary,
+    Circuit,
     Contact,
     Electrode,
     Load,
@@ -75,6 +76,7 @@ class SceneData(Keys):
     boundaries: list[Boundary] = Field([], description="what is prescribed on groups of facets")
     planes: list[Plane] = Field([], description="rigid planes that the bodies meet")
     electrodes: list[Electrode] = Field([], description="facet groups, bodies and planes at one potential each")
+    circuits: list[Circuit] = Field([], description="what is connected between electrodes")
     contact: Contact | None = None
     load: Load = Field(default_factory=Load)
     solver: Solver = Field(default_factory=Solver)

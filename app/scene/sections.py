@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
 from piezomat.scene.errors import SceneError, named, shown
-from piezomat.scene.keys import Count, Direction, Keys, Name, Positive
+from piezomat.scene.keys import Capacitance, Count, Direction, Keys, Name, Positive
 from piezomat.scene.petsc_options import check_petsc_options
 
 # Literal[1, 2] alone takes 1.0 and true too; what is no integer is handed on as None, which no Literal takes.
@@ -150,6 +150,15 @@ class Electrode(Keys):
         if self.follows is not None and self.potential is None and self.charge is None:
             raise SceneError("follows", shown(self.follows), "nothing without potential or charge")
         return self
+
+
+class Circuit(Keys):
+    """[[circuits]]: what is connected between two electrodes: an instrument, a cable, stray field."""
+
+    between: Annotated[list[Name], Field(min_length=2, max_length=2)] = Field(description="names of two electrodes")
+    capacitance: Capacitance = Field(
+        description='pC/V (= pF; 2D: per um of depth), or text with a unit: "10 pF", "2 nF"'
+    )
 
 
 class Adhesion(Keys):

@@ -21,7 +21,8 @@ TOLERANCE = 1e-8  # of a Krylov solver
 def capacitance_matrix(problem: Problem, linear: LinearSolver, snes: PETSc.SNES) -> Array:
     """Matrix dQ_i/dV_j of the electrodes at the problem's state, pC/V (2D: per um of depth), symmetric. Collective.
 
-    Contact is then evaluated, with its tangent, at this state. SolveError where a linear solve fails.
+    Circuits take part in the equilibrium, but their capacitances are left out. Contact is then evaluated, with its
+    tangent, at this state. SolveError where a linear solve fails.
     """
     model, ties = problem.model, problem.model.constraints.ties
     if problem.contact is not None:
@@ -51,7 +52,7 @@ def capacitance_matrix(problem: Problem, linear: LinearSolver, snes: PETSc.SNES)
         hybrid[:, column] = np.where(given, charges, voltages)
     for vector in (right, change, forces):
         vector.destroy()
-    matrix = _of_charges(hybrid, given)
+    matrix = _of_charges(hybrid, given) - problem.circuits.matrix
     return 0.5 * (matrix + matrix.T)
 
 

@@ -270,6 +270,78 @@ def test_open_voltage_times_capacitance_is_the_charge_of_a_short_circuit(dimensi
     assert isolated["voltage@lid"] * mean == pytest.approx(-short["charge@lid"], rel=3e-3)
 
 
+# --- Circuits
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("share", [0.5, 1.0, 10.0])
+def test_a_capacitor_across_a_pressed_block(share: float) -> None:
+    """References: exact, computed independently."""
+    capacitance, rows = 1.079216823e-4, []
+    for group, axis in (("bottom", 1), ("root", 0), ("tip", 0)):
+        rows.append({"on": group, "displacement": [0.0 if i == axis else "free" for i in range(2)]})
+    rows.append({"on": "top", "traction": [0.0, -1.0]})
+    row = last(
+        Scene(
+            geometry={"shape": "cantilever", "length": 1.0, "layers": [0.5, 0.5], "divisions": [2, 2]},
+            bodies={"layer_*": "pvdf"},
+            boundaries=rows,
+            electrodes=[{"name": "lid", "on": ["top"]}, {"name": "ground", "on": ["bottom"], "potential": 0.0}],
+            circuits=[{"between": ["lid", "ground"], "capacitance": f"{share * capacitance!r} pF"}],
+        )
+    )
+    assert row["voltage@lid"] == pytest.approx(0.2064989519 / (1.0 + share), rel=1e-8)
+    assert row["charge@lid"] == pytest.approx(-share * capacitance * row["voltage@lid"], rel=1e-8)
+    assert row["capacitance"] == pytest.approx(capacitance, rel=1e-8)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+def test_an_instrument_on_pressed_fibers(kinematics: str) -> None:
+    """The open circuit's charge is zero; what the instrument holds, the electrode has given."""
+    rows = pressed(2).model_dump(exclude_none=True)["boundaries"]
+    rows[0].pop("potential")
+    ground = {"name": "ground", "on": ["bottom"], "potential": 0.0}
+    keys = {
+        "boundaries": rows,
+        "electrodes": [ground, {"name": "lid", "on": ["top"]}],
+        "model": {"kinematics": kinematics},
+    }
+    circuit = {"between": ["lid", "ground"], "capacitance": 1e-4}
+    history = run(pressed(2, circuits=[circuit], **keys), MPI.COMM_WORLD).history
+    row = history[-1]
+    assert row["charge@lid"] == pytest.approx(-1e-4 * row["voltage@lid"], rel=1e-8)
+    assert row["charge@ground"] == pytest.approx(-row["charge@lid"], rel=1e-6)
+    isolated = last(pressed(2, **keys))
+    total = 0.5 * (isolated["capacitance"] + row["capacitance"])
+    assert row["voltage@lid"] * (total + 1e-4) == pytest.approx(isolated["voltage@lid"] * total, rel=3e-3)
+    assert max(r["newton"] for r in history) <= 6
+
+
+@pytest.mark.parametrize(
+    ("circuit", "words"),
+    [
+        ({"between": ["lid", "gruond"], "capacitance": 1.0}, "circuits[0].between[1]"),
+        ({"between": ["lid", "lid"], "capacitance": 1.0}, "two different electrodes"),
+        ({"between": ["lid", "ground"], "capacitance": "10 ohm"}, "circuits[0].capacitance"),
+        ({"between": ["lid", "ground"], "capacitance": 0.0}, "circuits[0].capacitance"),
+        ({"between": ["lid", "ground"]}, "circuits[0].capacitance"),
+    ],
+)
+def test_a_wrong_circuit_is_an_error_of_the_scene(circuit: dict[str, Any], words: str) -> None:
+    with pytest.raises(SceneError) as error:
+        pressed(2, electrodes=[{"name": "lid", "on": ["top"]}, {"name": "ground", "on": ["lower"]}], circuits=[circuit])
+    assert words in str(error.value)
+
+
+def test_units_of_a_capacitance() -> None:
+    electrodes = [{"name": "lid", "on": ["top"]}, {"name": "ground", "on": ["lower"]}]
+    for text, value in (("10 pF", 10.0), ("2nF", 2e3), ("1.5e-3 uF", 1.5e3), (3.0, 3.0), ("0.5 fF", 5e-4)):
+        circuit = {"between": ["lid", "ground"], "capacitance": text}
+        scene = pressed(2, electrodes=electrodes, circuits=[circuit])
+        assert scene.circuits[0].capacitance == pytest.approx(value, rel=1e-12)
+
+
 # --- What is refused
 
 
