@@ -42,8 +42,7 @@ class Circuits:
         if not self.exist:
             return
         charges = self._tangent @ self._ties.values(x)
-        if len(self._entries):
-            result.array[self._entries] += charges
+        result.array[self._entries] += charges[: len(self._entries)]
 
     def charges(self, x: PETSc.Vec) -> Array:
         """Charges (electrodes,) that have flowed into the circuits at x, pC (2D: per um of depth). Collective."""

@@ -34,7 +34,10 @@ class Ties:
         order = np.argsort(tied)
         self.tied, self.group = tied[order], group[order]
         self._owner = self._comm.size - 1  # of all reference nodes
-        self._local = self.references - unknowns.total + unknowns.owned * unknowns.block
+        # Local numbers of the references, none on the other ranks. All ranks write to a vector, if only nothing: on one
+        # that has not, PETSc would take the norm that it has kept, and leave the others waiting for it.
+        local = self.references - unknowns.total + unknowns.owned * unknowns.block
+        self._local = local[: len(local) if self._comm.rank == self._owner else 0]
         here = self.tied + unknowns.first_node * unknowns.block
         # Ranks own ascending numbers.
         self._tied_global = np.concatenate(self._comm.allgather(here))
@@ -53,19 +56,16 @@ class Ties:
 
     def values(self, vector: PETSc.Vec) -> Array:
         """Values (g,) of the references, on all ranks. Collective."""
-        here = vector.array_r[self._local] if self._comm.rank == self._owner else None
-        return self._comm.bcast(here, self._owner)
+        return self._comm.bcast(vector.array_r[self._local], self._owner)
 
     def set_values(self, vector: PETSc.Vec, values: Sequence[float]) -> None:
         """Give the references these values (g,), the same on all ranks. Not collective."""
-        if self._comm.rank == self._owner:
-            vector.array[self._local] = values
+        vector.array[self._local] = values[: len(self._local)]
 
     def sums(self, vector: PETSc.Vec) -> Array:
         """Sums (g,) over the unknowns of each group, its reference included: the groups' part of T^T. Collective."""
         here = np.bincount(self.group, vector.array_r[self.tied], len(self.references)).astype(float)
-        if self._comm.rank == self._owner:
-            here += vector.array_r[self._local]
+        here[: len(self._local)] += vector.array_r[self._local]
         return parallel.total(self._comm, here)
 
     def reduce(self, vector: PETSc.Vec) -> None:
@@ -74,8 +74,7 @@ class Ties:
             return
         sums = self.sums(vector)
         vector.array[self.tied] = 0.0
-        if self._comm.rank == self._owner:
-            vector.array[self._local] = sums
+        vector.array[self._local] = sums[: len(self._local)]
 
     def expand(self, vector: PETSc.Vec) -> None:
         """Replace a vector of unknowns by T times it. Collective."""

@@ -118,12 +118,14 @@ def force_curves(run: RunData) -> list[tuple[str, str]]:
 def electric_curve(run: RunData) -> tuple[str, str, str] | None:
     """Column, label and unit of the electric curve.
 
-    The mean potential that varies most over the steps; if none does, the charge that does; if neither does,
-    the largest potential.
+    The potential that varies most over the steps, of an electrode if there are any, else a mean; if none does, the
+    charge that does; if neither does, the largest potential.
     """
     names = list(run.history[0]) if run.history else []
     largest: tuple[float, str] = (0.0, "")
-    for prefix, text, unit in (("mean_potential@", "mean potential of", "V"), ("charge@", "charge on", "pC")):
+    has_electrodes = any(name.startswith("voltage@") for name in names)
+    of = ("voltage@", "voltage of") if has_electrodes else ("mean_potential@", "mean potential of")
+    for prefix, text, unit in ((*of, "V"), ("charge@", "charge on", "pC")):
         ranges = []
         for name in names:
             if name.startswith(prefix):
@@ -135,7 +137,7 @@ def electric_curve(run: RunData) -> tuple[str, str, str] | None:
         if spread > 0:
             return name, plain(f"{text} {name.removeprefix(prefix)}"), unit
     if largest[0] > 0:
-        return largest[1], plain(f"mean potential of {largest[1].removeprefix('mean_potential@')}"), "V"
+        return largest[1], plain(f"{of[1]} {largest[1].removeprefix(of[0])}"), "V"
     return None
 
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from piezomat.pictures.data import Bodies, ContactData, frame, magnification, prefixed, read_run
 from piezomat.pictures.picture import draw, view
+from piezomat.pictures.plots import electric_curve
 from piezomat.pictures.render import render, section
 from piezomat.results.files import Results
 from piezomat.results.vtk import ContactPoints, FieldPiece, Grid, ResultsError
@@ -252,6 +253,18 @@ def test_without_touching_there_is_no_pressure(tmp_path: Path) -> None:
     figure = draw(replace(run, contact=apart))
     assert panels_of(figure) == ["bodies", "zone", "curves"]
     check_layout(figure)
+
+
+def test_the_electric_curve_is_that_of_an_electrode_if_there_is_one(tmp_path: Path) -> None:
+    """Its voltage, or the charge on it where the voltage does not change."""
+    run = read_run(write(tmp_path, fields=False))
+    assert electric_curve(run)[0] == "mean_potential@top"
+    open_circuit = [row | {"voltage@lid": 0.1 * row["factor:press"], "charge@lid": 0.0} for row in run.history]
+    assert electric_curve(replace(run, history=open_circuit)) == ("voltage@lid", "voltage of lid", "V")
+    short = [row | {"voltage@lid": 0.0, "charge@lid": 1e-3 * row["factor:press"]} for row in run.history]
+    assert electric_curve(replace(run, history=short)) == ("charge@lid", "charge on lid", "pC")
+    held = [row | {"voltage@lid": 3.0, "charge@lid": 0.0} for row in run.history]
+    assert electric_curve(replace(run, history=held)) == ("voltage@lid", "voltage of lid", "V")
 
 
 def test_several_pairs_and_long_names(tmp_path: Path) -> None:
