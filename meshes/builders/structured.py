@@ -111,43 +111,58 @@ class BodyPatch:
 
 
 class PatchMesh:
-    """Mesh of patches in the current gmsh model, with its bodies and facet groups."""
+    """Mesh of patches in the current gmsh model, with its bodies and facet groups.
+
+    Every patch has tags of its own, so that patches may be added to several models which then become one.
+    """
 
     def __init__(self, dim: int) -> None:
         self.dim = dim
-        self.nodes = 0
+        self.nodes = self.elements = 0
+        self.entities = [0] * (dim + 1)  # of each dimension
         self.bodies: dict[str, list[int]] = {}
         self.groups: dict[str, list[int]] = {}
 
     def add(self, *patches: BodyPatch) -> None:
-        """Add patches that share nodes where they meet; they share none with patches added before."""
+        """Add patches with cells of one kind that share nodes where they meet, and none with patches added before."""
         x = np.concatenate([patch.lattice.points.reshape(-1, patch.lattice.points.shape[-1]) for patch in patches])
         number = merged(x) if len(patches) > 1 else np.arange(len(x))
         _, first = np.unique(number, return_index=True)
         x = np.pad(x[first], ((0, 0), (0, 3 - x.shape[1])))
         tags = self.nodes + 1 + np.arange(len(x))
         self.nodes += len(x)
-        start, has_nodes = 0, False
+        start = 0
+        cells: dict[str, list[Integers]] = {}
+        facets: dict[tuple[str, ...], list[Integers]] = {}
         for patch in patches:
             mine = tags[number[start : start + np.prod(patch.lattice.shape)]]
             start += len(mine)
-            cells = mine[patch.lattice.cells()]
-            entity = gmsh.model.addDiscreteEntity(self.dim)
-            if not has_nodes:
-                gmsh.model.mesh.addNodes(self.dim, entity, tags, x.ravel())
-                has_nodes = True
-            self._elements(self.dim, entity, cells, patch.lattice)
-            self.bodies.setdefault(patch.body, []).append(entity)
+            cells.setdefault(patch.body, []).append(mine[patch.lattice.cells()])
             for side, groups in patch.sides.items():
-                entity = gmsh.model.addDiscreteEntity(self.dim - 1)
-                self._elements(self.dim - 1, entity, mine[patch.lattice.facets(side)], patch.lattice)
-                for group in groups:
-                    self.groups.setdefault(group, []).append(entity)
+                facets.setdefault(tuple(groups), []).append(mine[patch.lattice.facets(side)])
+        # gmsh takes longer the more entities there are: one for each body, one for its facets of the same groups.
+        lattice, first_entity = patches[0].lattice, self.entities[self.dim] + 1
+        for body, nodes in cells.items():
+            entity = self._entity(self.dim)
+            if entity == first_entity:
+                gmsh.model.mesh.addNodes(self.dim, entity, tags, x.ravel())
+            self._elements(self.dim, entity, np.concatenate(nodes), lattice)
+            self.bodies.setdefault(body, []).append(entity)
+        for groups, nodes in facets.items():
+            entity = self._entity(self.dim - 1)
+            self._elements(self.dim - 1, entity, np.concatenate(nodes), lattice)
+            for group in groups:
+                self.groups.setdefault(group, []).append(entity)
 
-    @staticmethod
-    def _elements(dim: int, entity: int, nodes: Integers, lattice: Lattice) -> None:
+    def _entity(self, dim: int) -> int:
+        self.entities[dim] += 1
+        return gmsh.model.addDiscreteEntity(dim, self.entities[dim])
+
+    def _elements(self, dim: int, entity: int, nodes: Integers, lattice: Lattice) -> None:
         kind = GMSH_TYPE[(BOXES if lattice.tensor else SIMPLICES)[dim], lattice.order]
-        gmsh.model.mesh.addElementsByType(entity, kind, [], nodes.ravel())
+        tags = self.elements + 1 + np.arange(len(nodes))
+        self.elements += len(nodes)
+        gmsh.model.mesh.addElementsByType(entity, kind, tags, nodes.ravel())
 
     def finish(self, groups: Iterable[str]) -> None:
         """Name bodies and facet groups, these in the given order."""

@@ -189,7 +189,7 @@ def _facets(
     nodes, member = [np.empty((0, width), np.int64)], [np.empty(0, np.int32)]
     for number, group in enumerate(found):
         for part in (part for entity in group.entities for part in gmsh_model.elements(dim - 1, entity)):
-            if CELLS.get(part.type) != cell or not np.isin(part.nodes, used).all():
+            if CELLS.get(part.type) != cell or not _are_in(part.nodes, used):
                 raise not_facets(group.name)
             nodes.append(part.nodes)
             member.append(np.full(len(part.tags), number, np.int32))
@@ -205,6 +205,12 @@ def _facets(
         value.ravel().astype(np.int32),
         combinations,
     )
+
+
+def _are_in(nodes: Integers, used: Integers) -> bool:
+    """Whether all nodes are used ones, which are sorted."""
+    place = np.minimum(np.searchsorted(used, nodes), len(used) - 1)
+    return bool((used[place] == nodes).all())
 
 
 def not_facets(group: str) -> MeshError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
+from typing import Any
 
 import gmsh
 import numpy as np
@@ -349,3 +350,29 @@ def test_bodies_meshed_one_by_one_are_those_meshed_together(monkeypatch: pytest.
         a, b, c = np.moveaxis(mesh.x[mesh.cells], 1, 0)
         areas.append(np.bincount(mesh.cell_body, np.abs(np.cross(b - a, c - a)) / 2.0))
     assert np.allclose(*areas, rtol=1e-12)  # the outlines are divided alike
+
+
+@pytest.mark.parametrize("cells", ["simplex", "tensor"])
+def test_many_bodies_come_into_gmsh_a_few_at_a_time(cells: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """gmsh looks up all nodes of a model for each entity that gets elements: 3,000 fibers took half an hour."""
+    bodies: list[int] = []
+    add = gmsh.model.mesh.addElementsByType
+
+    def counted(*arguments: Any) -> None:
+        bodies.append(len(gmsh.model.getEntities(2)))
+        add(*arguments)
+
+    monkeypatch.setattr(gmsh.model.mesh, "addElementsByType", counted)
+    monkeypatch.setattr(extrude, "MANY", 4)
+    found = []
+    for together in (5, 1000):
+        monkeypatch.setattr(extrude, "TOGETHER", together)
+        bodies.clear()
+        found.append(arrays_of(FiberArray(arrangement="hexagonal", columns=4, rows=3), MeshSizes(0.4, 0.2, 1, cells)))
+        assert max(bodies) <= together
+    few, all_at_once = found
+    assert max(bodies) == 12 and few.bodies == all_at_once.bodies and few.facet_groups == all_at_once.facet_groups
+    np.testing.assert_array_equal(few.x, all_at_once.x)
+    np.testing.assert_array_equal(few.cells, all_at_once.cells)
+    np.testing.assert_array_equal(few.cell_body, all_at_once.cell_body)
+    np.testing.assert_array_equal(few.facets, all_at_once.facets)
