@@ -80,7 +80,7 @@ def test_a_solve_that_fails_on_the_way_leaves_nothing_behind(comm: MPI.Comm) -> 
     scene = pressed(2, load={"steps": [1], "factors": {"press": [1.0]}})
     expected, cuts = final_energies(scene, comm, fails_at=0)
     assert cuts == 0
-    for evaluation in range(6, 12):
+    for evaluation in range(12, 24):
         found, cuts = final_energies(scene, comm, evaluation)
         assert cuts == 1
         assert found == pytest.approx(expected, rel=1e-8, abs=1e-10), evaluation
@@ -91,8 +91,9 @@ def final_energies(scene: Scene, comm: MPI.Comm, fails_at: int) -> tuple[dict[st
     whole: list[bool] = []
     with stepper_of(scene, comm, lambda problem: whole.append(problem.condensed is None)) as stepper:
         problem = stepper.problem
+        left = [fails_at]  # of all pairs together
         for p in problem.contact.surface_pairs:
-            p.law = FailsOnce.of(p.law, [fails_at])
+            p.law = FailsOnce.of(p.law, left)
         found = [stepper.advance(step, lambda part: None) for step in steps(scene.load)]
         assert all(whole)  # every solve begins with the whole problem
         return problem.bulk.energies(problem.state) | problem.contact.energies(), sum(r.cutbacks for r in found)
