@@ -62,7 +62,7 @@ def two_bodies(
 
 def halves(contact: dict[str, Any], cells: str, order: int) -> Scene:
     mesh = {"size": 0.15 * order, "contact_size": 0.04 * order, "order": order, "cells": cells}
-    load = {"steps": [3, 3], "factors": {"press": [1.0, -0.4]}}
+    load = {"steps": [2, 2], "factors": {"press": [1.0, -0.4]}}
     return Scene(**two_bodies({"shape": "facing_halves"}, mesh, contact, depth=0.75 * PRESS, load=load))
 
 
