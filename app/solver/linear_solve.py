@@ -16,10 +16,13 @@ def solve(
     right: PETSc.Vec,
     result: PETSc.Vec,
     tolerance: float | None,
+    *,
+    guess: bool = False,
 ) -> None:
     """result = solution with the operators of `linear`, tied unknowns included. Collective.
 
-    tolerance: relative, of a Krylov solver; None: the one that it has. SolveError where the solve fails.
+    tolerance: relative, of a Krylov solver; None: the one that it has. guess: whether it begins at `result`. SolveError
+    where the solve fails.
     """
     ksp, inexact = snes.getKSP(), snes.getUseEW()
     ksp.setOperators(*linear.operators)
@@ -27,8 +30,10 @@ def solve(
         # Eisenstat and Walker's rule is for Newton's steps, and would change the tolerance of this solve too.
         snes.setUseEW(False)
         ksp.setTolerances(rtol=tolerance)
+    ksp.setInitialGuessNonzero(guess)
     with problem.timer("linear_solve"), linear.callback_errors.raised():
         ksp.solve(right, result)
+    ksp.setInitialGuessNonzero(False)
     snes.setUseEW(inexact)
     require_linear_solve(ksp, linear.failure)
     problem.model.constraints.expand(result)

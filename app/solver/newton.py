@@ -24,7 +24,7 @@ from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Solver
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.callbacks import callback, not_numbers, nothing
-from piezomat.solver.capacitance import capacitance_matrix
+from piezomat.solver.capacitance import Capacitance
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
@@ -65,6 +65,7 @@ class Newton:
         self.prediction = ActiveSetPrediction(problem, self.linear, self.snes, self.convergence)
         self.start_value = StartValue(problem, self.linear, self.snes, self.convergence, self.prediction)
         self.checks = EndChecks(problem, self.linear, self.snes, self.convergence, keys.max_iterations)
+        self._capacitance = Capacitance(problem, self.linear, self.snes)
         self._residual = problem.state.duplicate()
         self._report = NewtonReport()
         self._timed_linear_solve = ExitStack()
@@ -108,10 +109,8 @@ class Newton:
                 report.candidates = len(condensation.candidates)
 
     def capacitance(self) -> Array | None:
-        """Capacitance matrix of the electrodes at the problem's state, see `capacitance_matrix`; None without any."""
-        if not self.problem.model.constraints.electrodes:
-            return None
-        return capacitance_matrix(self.problem, self.linear, self.snes)
+        """Capacitance matrix of the electrodes at the problem's state, see `Capacitance`; None without any."""
+        return self._capacitance.matrix()
 
     def _solve(self, search_radius: float) -> None:
         problem, report = self.problem, self._report
