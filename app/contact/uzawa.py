@@ -22,7 +22,7 @@ def augment(contact: Interfaces, tolerance: float, potential_range: float) -> Ar
         share, jump = electric_share(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
         means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
         new = p.multipliers.augmented(contact.corner_sums(p, p.weight[:, None] * means))
-        size = np.zeros(len(p.slave))
+        size = np.ones(len(p.slave))  # of a facet without points, whose multipliers stay zero
         size[p.points.facet] = p.facet_size
         gap = np.abs(new.gap - p.multipliers.gap) / size[:, None]
         jump = np.abs(new.jump - p.multipliers.jump) / potential_range

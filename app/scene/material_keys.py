@@ -10,8 +10,11 @@ from pydantic import Field, model_validator
 
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material, permittivity_matrix, piezo_matrix
-from piezomat.scene.errors import SceneError, named, unknown_name
+from piezomat.scene.errors import SceneError, named, shown, unknown_name
 from piezomat.scene.keys import Direction, Keys, Positive, Vector3, Vector6
+
+# pC/(V um). A number in another unit, or one that is nothing beside the stiffness, would make charges out of rounding.
+LEAST_PERMITTIVITY = 1e-9
 
 
 class PiezoKeys(Keys):
@@ -85,6 +88,9 @@ class MaterialKeys(Keys):
         except ValueError as error:
             part, _, reason = str(error).partition(" ")
             raise SceneError(part, f"a matrix that {reason}", "a symmetric positive definite matrix") from None
+        if self.permittivity is not None and np.linalg.eigvalsh(permittivity).min(initial=1.0) < LEAST_PERMITTIVITY:
+            allowed = f"{LEAST_PERMITTIVITY:g} or more, in pC/(V um): that of vacuum is 8.854e-6"
+            raise SceneError("permittivity", shown(self.permittivity), allowed)
         return material
 
     def _stiffness(self, base: Material | None) -> NDArray[np.float64]:

@@ -303,6 +303,19 @@ def test_materials_start_from_built_in_ones() -> None:
     np.testing.assert_allclose(constants.piezo, [[0, 0, 0, 0, 4, 0], [0, 0, 0, 5, 0, 0], [1, 2, 3, 0, 0, 0]])
 
 
+@pytest.mark.parametrize("value", [1e-300, 1e-15, [1e-4, 1e-4, 1e-12]])
+def test_a_permittivity_far_below_that_of_vacuum_is_another_unit(value: Any) -> None:
+    with pytest.raises(SceneError, match=r"permittivity: found .*; allowed: 1e-09 or more.*vacuum is 8\.854e-6"):
+        halves(materials={"m": {"like": "elastic", "permittivity": value}}, bodies={"lower": "m", "upper": "m"})
+
+
+def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(halves().to_toml(), encoding="utf-8-sig")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert Scene.load(path) == halves()
+
+
 def test_poling() -> None:
     up = halves().material("lower")
     np.testing.assert_allclose(up.piezo, BUILT_IN["pvdf"].rotated([0, 1, 0]).piezo)
