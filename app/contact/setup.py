@@ -11,30 +11,34 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.contact.corner_points import corner_points, joined
-from piezomat.contact.interface_laws import facet_sizes, interface_law
+from piezomat.contact.interface_laws import adhesion_law, facet_sizes, interface_law
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.pairs import Pairs
-from piezomat.contact.passes import corner_pass, edge_pass, facet_points, surface_pass
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
-from piezomat.forms.arrays import Array
-from piezomat.forms.contact.integrals import quadrature_points
+from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.contact.facets import corner_kind
+from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
 from piezomat.forms.materials import Material
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
-from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, PairingRule
-from piezomat.meshes.contact.load_balance import SlaveFacets
+from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
+from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
-from piezomat.meshes.contact.sharp_corners import sharp_corners
-from piezomat.meshes.contact.surface import Surface, body_facets, surface
+from piezomat.meshes.contact.sharp_corners import SharpCorners, sharp_corners
+from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
 from piezomat.meshes.mesh_entities import cell_volumes, exterior_facets
+from piezomat.meshes.parallel import redistributed
 from piezomat.scene.errors import SceneError, named, shown
 from piezomat.scene.sections import SIDES, Plane
 from piezomat.scene.sections import Contact as ContactKeys
 
 LISTED_BODIES = 6  # of more bodies, the pairs have no columns in the history
+# Facets that are nearer to each other than the prescribed motion and this share of half the least thickness are
+# distributed over the ranks.
+NEAR = 0.1
 
 
 def interfaces_of(model: Model) -> Interfaces | None:
@@ -74,10 +78,8 @@ def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair],
             given = number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first
             taken = first or keys.passes == 2
             if taken:
-                passes.append(surface_pass(model, *given))
-            passes += corner_pass(model, *given, taken=taken)
-            if first:
-                passes += edge_pass(model, *given)
+                passes.append(_pass(model, *given))
+            passes += _corner_pass(model, *given, taken=taken)
     names = tuple("-".join(pair) for pair in keys.pairs)
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)), planes)
 
@@ -127,10 +129,9 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
         every = [np.array(components_of_bodies[kind]) for kind in (slave, master)]
         if any(rule.allows(component, every[1]).any() for component in every[0]):
             given = surfaces[slave], surfaces[master], components[slave], components[master]
-            passes.append(surface_pass(model, len(passes), *given, rule, True, thickness))
+            passes.append(_pass(model, len(passes), *given, rule, True, thickness))
             both = replace(rule, ordered=False)
-            passes += corner_pass(model, len(passes), *given, both, True, thickness, taken=keys.passes == 2)
-            passes += edge_pass(model, len(passes), *given, replace(rule, ordered=True), True, thickness)
+            passes += _corner_pass(model, len(passes), *given, both, True, thickness, taken=keys.passes == 2)
     if not passes and not model.scene.planes:
         bonded = [
             f"{named([bodies.bodies[i] for i in members])} share nodes, which bonds them"
@@ -197,7 +198,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     surface_here = _facets(model, "outside", exterior_facets(model.mesh))
     body = model.bodies.cell_body[surface_here.cells]
     outside = SlaveFacets.of(model.unknowns.space, surface_here, np.zeros(len(body), np.int64), body)
-    points, corners = facet_points(keys, outside), None
+    points, corners = _points(keys, outside), None
     if keys.method != "node" or outside.kind.name == "tri6":
         sharp = corner_points(outside, sharp_corners(model.unknowns.space, surface_here))
         points, corners = joined(points, sharp)
@@ -260,3 +261,114 @@ def _facets(model: Model, name: str, facets: NDArray[np.int32]) -> Surface:
     """The surface of some facets, curved if the scene asks for it."""
     keys, flat = model.scene.contact, surface(model.unknowns.space, name, facets, model.bodies.order)
     return smoothed(model.unknowns.space, flat) if keys is not None and keys.smoothing else flat
+
+
+def _points(keys: ContactKeys, group: SlaveFacets, shared: Array | None = None) -> SlavePoints:
+    """The points of a surface that the method asks for; of nodes those with unknowns alone.
+
+    shared: the `multiplicity` of `nodal_points`. Segments begin as whole facets.
+    """
+    if keys.method != "node":
+        return quadrature_points(group.kind, group.reference)
+    if not group.rounding.shape[1]:
+        return nodal_points(group.kind, group.reference, shared)
+    flat = corner_kind(group.kind)
+    points = nodal_points(flat, group.reference[:, : len(flat.nodes)], shared)
+    return replace(points, shape=group.kind.shape(points.xi))
+
+
+def _pass(
+    model: Model,
+    number: int,
+    slave: Surface,
+    master: Surface,
+    slave_component: Integers,
+    master_component: Integers,
+    rule: PairingRule,
+    first: bool,
+    thickness: Array | None = None,
+    corners: SharpCorners | None = None,
+) -> SurfacePair:
+    """One pass, with slave facets distributed over the ranks; components (f,) of its facets here. Collective.
+
+    corners: of the slave facets, which then are its only points, and stay with their cells.
+    """
+    keys, comm = model.scene.contact, model.comm
+    slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
+    depth = _depth(model, slave, master)
+    numbers = global_numbers(model.unknowns.space, master.nodes)
+    masters = GhostFacets(numbers, master.orientation, master.key, master_component, master.rounding)
+    slaves = SlaveFacets.of(model.unknowns.space, slave, slave_component, model.bodies.cell_body[slave.cells])
+    which = None
+    if corners is None:
+        radius = model.prescription.largest_motion() + NEAR * depth
+        rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
+        unit = keys.method == "node" and keys.nodal_weight == "unit"
+        shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
+        slaves = slaves.redistributed(comm, rank)
+        points = _points(keys, slaves, shared)
+    else:
+        points, which = corner_points(slaves, corners)
+    size = facet_sizes(slaves)[points.facet]
+    materials = [model.materials[i] for i in slave_bodies | master_bodies]
+    stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))
+    permittivity = np.full(len(size), min(m.mean_permittivity for m in materials))
+    # Where one of the bodies has no permittivity, no charge passes.
+    electric = permittivity if all(m.electric for m in materials) else None
+    law = interface_law(keys, model.prescription.largest_voltage(), size, stiffness, electric)
+    return SurfacePair(
+        pair=number,
+        slave=slaves,
+        master=masters,
+        master_bodies=frozenset(master_bodies),
+        rule=rule,
+        points=points,
+        law=law if which is not None else replace(law, adhesion=adhesion_law(comm, keys, law.penalty)),
+        facet_size=size,
+        share=1.0 / keys.passes if which is None else 1.0,
+        corners=which,
+        first=first,
+        depth=depth,
+        self_depth=0.5 * float(thickness.min()) if thickness is not None else depth,
+        segments=keys.method == "segment" and which is None,
+    )
+
+
+def _corner_pass(
+    model: Model,
+    number: int,
+    slave: Surface,
+    master: Surface,
+    slave_component: Integers,
+    master_component: Integers,
+    rule: PairingRule,
+    first: bool,
+    thickness: Array | None = None,
+    *,
+    taken: bool,
+) -> list[SurfacePair]:
+    """A pass of the sharp corners of the slave, in a list; none where the method has points there. Collective.
+
+    taken: whether the slave's own points are in a pass too, where `node` has one at every corner with a weight.
+    """
+    if taken and model.scene.contact.method == "node" and slave.kind.name != "tri6":
+        return []
+    corners = sharp_corners(model.unknowns.space, slave)
+    if not model.comm.allreduce(len(corners)):
+        return []
+    some, facet = np.unique(corners.facet, return_inverse=True)
+    given = slave[some], master, slave_component[some], master_component, rule, first, thickness
+    return [_pass(model, number, *given, replace(corners, facet=facet))]
+
+
+def _depth(model: Model, *surfaces: Surface) -> float:
+    """Half the least thickness of the parts that surfaces belong to, um. Collective."""
+    here = {int(part) for group in surfaces for part in model.bodies.cell_part[group.cells]}
+    parts = set().union(*model.comm.allgather(here))
+    return 0.5 * float(model.parts.thickness[sorted(parts)].min())
+
+
+def _bodies_of(model: Model, group: Surface) -> set[int]:
+    """Bodies that a surface belongs to on any rank. Collective."""
+    here = set(model.bodies.cell_body[group.cells].tolist())
+    return set().union(*model.comm.allgather(here))

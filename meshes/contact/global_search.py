@@ -74,7 +74,7 @@ class GhostFacets:
         return len(self.nodes)
 
     def __getitem__(self, rows: NDArray) -> GhostFacets:
-        return type(self)(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return GhostFacets(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
@@ -160,8 +160,8 @@ def share_facets(
             near[members] |= inside.all(axis=1)
         parcels.append(master[near])
     received = comm.alltoall(parcels)
-    names = master.__dataclass_fields__
-    return type(master)(*(np.concatenate([getattr(part, name) for part in received]) for name in names))
+    names = GhostFacets.__dataclass_fields__
+    return GhostFacets(*(np.concatenate([getattr(part, name) for part in received]) for name in names))
 
 
 @dataclass(frozen=True)
