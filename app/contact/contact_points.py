@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from piezomat.contact.corner_points import CornerPoints
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.terms import ContactTerms
@@ -46,7 +45,6 @@ class ContactPoints(ABC):
     law (m,): interface law
     facet_size (m,): size of each point's slave facet, um
     share: share of the contact enthalpy, 1/2 for each of two passes
-    corners: points that are sharp corners, which act only where no facet lies flat on the other side; None for none
 
     Kept from step to step:
     history (m,): state of the law at the end of the last converged step
@@ -58,8 +56,7 @@ class ContactPoints(ABC):
     near_points: points within the search radius of the other side
 
     Valid after an evaluation:
-    projected_points (r,): the points with a closest point, by their number in `points`; of the corners those that act
-    weight (r,): of the points in the contact enthalpy, um2 (2D: um), or without unit for springs of one node each
+    projected_points (r,): the points with a closest point, by their number in `points`
     position (r, d): um
     projection (r,): gaps and normals, um; None before the first evaluation
     gap (r,): gap of the law, that of the projection and the multipliers' shift, um
@@ -74,14 +71,12 @@ class ContactPoints(ABC):
     law: InterfaceLaw
     facet_size: Array
     share: float = 1.0
-    corners: CornerPoints | None = None
     history: History = field(init=False)
     multipliers: Multipliers = field(init=False)
     viscous_bonds: ViscousBonds = field(init=False)
     slave_nodes: Integers = field(init=False)
     near_points: Integers = field(init=False)
     projected_points: Integers = field(init=False)
-    weight: Array = field(init=False)
     position: Array = field(init=False)
     projection: Projection | None = field(init=False, default=None)
     gap: Array = field(init=False)
@@ -120,17 +115,6 @@ class ContactPoints(ABC):
     def touching_bodies(self, pairs: Pairs) -> set[int]:
         """Bodies in contact with others or with a plane."""
 
-    @property
-    def area(self) -> Array:
-        """Undeformed area (r,) that the projected points stand for in sums over all sets of a pair, um2 (2D: um)."""
-        rows = self.projected_points
-        return self.weight * (self.points.area[rows] / self.points.weight[rows])
-
-    @property
-    def on_facets(self) -> Booleans:
-        """Whether points (m,) are those of facets, not sharp corners."""
-        return np.ones(len(self.points.weight), bool) if self.corners is None else self.corners.corner < 0
-
     # --- Response of the law ---
 
     def predict(self, at: NodalState, change: Array) -> Array:
@@ -144,7 +128,8 @@ class ContactPoints(ABC):
         slope, charge = last.linearized(self.predicted if before is None else self.predicted - before)
         rows = self.projected_points
         r = self._respond(at, self._shift(self.points.facet[rows], self.points.xi[rows]))
-        weight, scale = self.weight, 1.0 if at.scale is None else at.scale
+        weight = self.share * self.points.weight[rows]
+        scale = 1.0 if at.scale is None else at.scale
         return np.array(
             [((weight * (r.slope - slope)) ** 2).sum(), ((scale * weight * (r.charge - charge)) ** 2).sum()]
         )
@@ -231,13 +216,12 @@ class ContactPoints(ABC):
         sums = np.zeros(4)
         far = np.ones(len(self.points.weight), bool)
         far[self.projected_points] = False
-        responses = [(self.response, self.weight)]
+        responses = [(self.response, self.projected_points)]
         if self.law.adhesion is not None:
             apart = np.full(int(far.sum()), FAR_GAP)
-            responses.append(
-                (self.law[far].respond(apart, None, self.history[far]), self.share * self.points.weight[far])
-            )
-        for r, weight in responses:
+            responses.append((self.law[far].respond(apart, None, self.history[far]), np.flatnonzero(far)))
+        for r, rows in responses:
+            weight = self.share * self.points.weight[rows]
             sums += [float(weight @ e) for e in (r.contact, r.adhesion, r.electric, r.dissipated)]
         return sums
 

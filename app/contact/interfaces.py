@@ -79,7 +79,7 @@ class Interfaces:
         penalties = (float(p.law.penalty.max(initial=0.0)) for p in self.point_sets)
         self.largest_penalty = comm.allreduce(max(penalties), op=MPI.MAX)
         self.interaction_range = comm.allreduce(max(p.law.interaction_range for p in self.point_sets), op=MPI.MAX)
-        sizes = [np.log(p.facet_size[p.on_facets]) for p in self.point_sets]
+        sizes = [np.log(p.facet_size) for p in self.point_sets]
         total = parallel.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         mean_size = float(np.exp(total[0] / total[1]))
         bodies = max(len(pairs.bodies), 2)
@@ -334,7 +334,7 @@ class Interfaces:
         """Nodes of this rank's slave facets that lie inside other bodies at the last evaluation. Not collective."""
         if self._nodes_inside is None or self._nodes_inside[0] is not self.state:
             given = self.pairs, self.state.position, 2.0 * self.last_penetration
-            found = [p.penetrating_nodes(*given) for p in self.surface_pairs if p.corners is None]
+            found = [p.penetrating_nodes(*given) for p in self.surface_pairs]
             self._nodes_inside = self.state, found
         return self._nodes_inside[1]
 

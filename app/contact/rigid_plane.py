@@ -45,7 +45,7 @@ class RigidPlane(ContactPoints):
     offset (d,): motion since the beginning, um
     potential: V, of an electrode; None of an insulator; with a reference node, of the last evaluation
 
-    Valid after an evaluation; all near points but corners that do not act are projected:
+    Valid after an evaluation; all near points are projected:
     surface_potential (r,): potential of the bodies' surfaces, V; None without potentials
     force (d,): force of this rank's points on the plane, uN
     charge: charge of the plane, pC
@@ -98,15 +98,17 @@ class RigidPlane(ContactPoints):
         near = np.flatnonzero(self._gap(points) <= radius)
         facet = facet[near]
         outward = point_normals(self.slave.kind, self.points.xi[near], corners[facet], self.slave.orientation[facet])
-        self.near_points = near[outward @ self.normal < FACING]
+        self.near_points = self.projected_points = near[outward @ self.normal < FACING]
 
     def evaluate(self, at: NodalState, *, tangent: bool, viscous: bool) -> ContactTerms:
         """Terms of the near points; a plane has no adhesion, and so no viscous bonds."""
-        self._project(at.position)
         rows, d = self.projected_points, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]
         nodes = self.slave_nodes[facet]
         kind, offsets = self.slave.kind, self.slave.rounding[facet]
+        self.position = np.einsum("mk,mkd->md", shape, rounded(kind, at.position[nodes], offsets))
+        gap = self._gap(self.position)
+        self.projection = PlaneProjection(gap, np.tile(self.normal, (len(rows), 1)))
         self.jump = self.surface_potential = None
         if self.reference_node is not None:
             self.potential = float(at.scale * at.potentials[self._reference])
@@ -117,9 +119,9 @@ class RigidPlane(ContactPoints):
             if self.potential is not None and self.law.electric_penalty is not None:
                 self.jump = self.surface_potential - self.potential
         shift = self._shift(facet, self.points.xi[rows])
-        self.gap = self.projection.gap + shift[0]
-        r, weight = self._respond(at, shift), self.weight
-        self.response = r
+        self.gap = gap + shift[0]
+        r = self.response = self._respond(at, shift)
+        weight = self.points.weight[rows]
         self.force = -(weight @ r.slope) * self.normal
         self.charge = float(weight @ r.charge)
 
@@ -145,19 +147,6 @@ class RigidPlane(ContactPoints):
             matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
         terms = ContactTerms.summed(facet[active], nodes, vectors, matrices)
         return terms if self.reference_node is not None else _twice(terms)
-
-    def _project(self, position: Array) -> None:
-        """Project the near points, with the seen nodes at `position` (n, d)."""
-        rows = self.near_points
-        facet, weight = self.points.facet[rows], self.share * self.points.weight[rows]
-        nodes = rounded(self.slave.kind, position[self.slave_nodes[facet]], self.slave.rounding[facet])
-        points, normal = np.einsum("mk,mkd->md", self.points.shape[rows], nodes), np.tile(self.normal, (len(rows), 1))
-        if self.corners is not None:
-            share = self.corners.share(self.slave, nodes, self.points, rows, normal)
-            acts = np.flatnonzero(share > 0.0)
-            rows, points, normal, weight = rows[acts], points[acts], normal[acts], (weight * share)[acts]
-        self.projected_points, self.position, self.weight = rows, points, weight
-        self.projection = PlaneProjection(self._gap(points), normal)
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """Changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""

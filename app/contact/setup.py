@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from piezomat.contact.corner_points import corner_points, joined
 from piezomat.contact.interface_laws import adhesion_law, facet_sizes, interface_law
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.pairs import Pairs
@@ -27,7 +26,6 @@ from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, Gho
 from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
-from piezomat.meshes.contact.sharp_corners import SharpCorners, sharp_corners
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
 from piezomat.meshes.mesh_entities import cell_volumes, exterior_facets
 from piezomat.meshes.parallel import redistributed
@@ -71,15 +69,12 @@ def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair],
                 surfaces[name] = _surface(model, name, f"contact.pairs[{number}]")
     _check_twice(model, surfaces)
     for number, pair in enumerate(keys.pairs):
-        for first, (slave, master) in zip((True, False), (pair, pair[::-1]), strict=True):
+        directions = [pair, pair[::-1]][: keys.passes]
+        for first, (slave, master) in zip((True, False), directions, strict=False):
             components = [
                 np.full(len(surfaces[name]), component) for name, component in ((slave, SLAVE), (master, MASTER))
             ]
-            given = number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first
-            taken = first or keys.passes == 2
-            if taken:
-                passes.append(_pass(model, *given))
-            passes += _corner_pass(model, *given, taken=taken)
+            passes.append(_pass(model, number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first))
     names = tuple("-".join(pair) for pair in keys.pairs)
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)), planes)
 
@@ -130,8 +125,6 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
         if any(rule.allows(component, every[1]).any() for component in every[0]):
             given = surfaces[slave], surfaces[master], components[slave], components[master]
             passes.append(_pass(model, len(passes), *given, rule, True, thickness))
-            both = replace(rule, ordered=False)
-            passes += _corner_pass(model, len(passes), *given, both, True, thickness, taken=keys.passes == 2)
     if not passes and not model.scene.planes:
         bonded = [
             f"{named([bodies.bodies[i] for i in members])} share nodes, which bonds them"
@@ -198,10 +191,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     surface_here = _facets(model, "outside", exterior_facets(model.mesh))
     body = model.bodies.cell_body[surface_here.cells]
     outside = SlaveFacets.of(model.unknowns.space, surface_here, np.zeros(len(body), np.int64), body)
-    points, corners = _points(keys, outside), None
-    if keys.method != "node" or outside.kind.name == "tri6":
-        sharp = corner_points(outside, sharp_corners(model.unknowns.space, surface_here))
-        points, corners = joined(points, sharp)
+    points = _points(keys, outside)
     size, body = facet_sizes(outside)[points.facet], body[points.facet]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
@@ -227,7 +217,6 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
                 points=points,
                 law=law,
                 facet_size=size,
-                corners=corners,
             )
         )
     return found
@@ -287,28 +276,20 @@ def _pass(
     rule: PairingRule,
     first: bool,
     thickness: Array | None = None,
-    corners: SharpCorners | None = None,
 ) -> SurfacePair:
-    """One pass, with slave facets distributed over the ranks; components (f,) of its facets here. Collective.
-
-    corners: of the slave facets, which then are its only points, and stay with their cells.
-    """
+    """One pass, with slave facets distributed over the ranks; components (f,) of its facets here. Collective."""
     keys, comm = model.scene.contact, model.comm
     slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
     depth = _depth(model, slave, master)
     numbers = global_numbers(model.unknowns.space, master.nodes)
     masters = GhostFacets(numbers, master.orientation, master.key, master_component, master.rounding)
     slaves = SlaveFacets.of(model.unknowns.space, slave, slave_component, model.bodies.cell_body[slave.cells])
-    which = None
-    if corners is None:
-        radius = model.prescription.largest_motion() + NEAR * depth
-        rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
-        unit = keys.method == "node" and keys.nodal_weight == "unit"
-        shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
-        slaves = slaves.redistributed(comm, rank)
-        points = _points(keys, slaves, shared)
-    else:
-        points, which = corner_points(slaves, corners)
+    radius = model.prescription.largest_motion() + NEAR * depth
+    rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
+    unit = keys.method == "node" and keys.nodal_weight == "unit"
+    shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
+    slaves = slaves.redistributed(comm, rank)
+    points = _points(keys, slaves, shared)
     size = facet_sizes(slaves)[points.facet]
     materials = [model.materials[i] for i in slave_bodies | master_bodies]
     stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))
@@ -323,42 +304,14 @@ def _pass(
         master_bodies=frozenset(master_bodies),
         rule=rule,
         points=points,
-        law=law if which is not None else replace(law, adhesion=adhesion_law(comm, keys, law.penalty)),
+        law=replace(law, adhesion=adhesion_law(comm, keys, law.penalty)),
         facet_size=size,
-        share=1.0 / keys.passes if which is None else 1.0,
-        corners=which,
+        share=1.0 / keys.passes,
         first=first,
         depth=depth,
         self_depth=0.5 * float(thickness.min()) if thickness is not None else depth,
-        segments=keys.method == "segment" and which is None,
+        segments=keys.method == "segment",
     )
-
-
-def _corner_pass(
-    model: Model,
-    number: int,
-    slave: Surface,
-    master: Surface,
-    slave_component: Integers,
-    master_component: Integers,
-    rule: PairingRule,
-    first: bool,
-    thickness: Array | None = None,
-    *,
-    taken: bool,
-) -> list[SurfacePair]:
-    """A pass of the sharp corners of the slave, in a list; none where the method has points there. Collective.
-
-    taken: whether the slave's own points are in a pass too, where `node` has one at every corner with a weight.
-    """
-    if taken and model.scene.contact.method == "node" and slave.kind.name != "tri6":
-        return []
-    corners = sharp_corners(model.unknowns.space, slave)
-    if not model.comm.allreduce(len(corners)):
-        return []
-    some, facet = np.unique(corners.facet, return_inverse=True)
-    given = slave[some], master, slave_component[some], master_component, rule, first, thickness
-    return [_pass(model, number, *given, replace(corners, facet=facet))]
 
 
 def _depth(model: Model, *surfaces: Surface) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from piezomat.meshes.contact.overlap import deepest_overlap
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
 CUT_DRIFT = 1e-3
-# Share of a facet by which a corner may leave the facet that it meets: it presses a valley into the other surface, on
-# either side of which it would be on the other facet again.
-CORNER_TOLERANCE = 0.5
 CLOSE = 0.25  # facets: a node may be inside the other body if a point of its facet has a gap below this
 
 
@@ -89,8 +86,8 @@ class SurfacePair(ContactPoints):
 
     @property
     def side(self) -> int:
-        """1 for the first surface of the pair, 0 for the second one; of their corners 4 and 3."""
-        return int(self.first) if self.corners is None else int(self.first) + 3
+        """1 for the first surface of the pair, 0 for the second one."""
+        return int(self.first)
 
     # --- Search ---
 
@@ -118,22 +115,8 @@ class SurfacePair(ContactPoints):
 
     def update_projections(self, position: Array, limits: SearchLimits) -> None:
         """Find the closest points with the seen nodes at `position` (n, d). LinAlgError: facets have collapsed."""
-        if self.corners is not None:
-            limits = replace(limits, projection_tolerance=max(limits.projection_tolerance, CORNER_TOLERANCE))
         projected, self.position, self.projection = self.closest.update(position, limits)
         self.projected_points, self.master_facet = self.near_points[projected], self.closest.facet[projected]
-        self.weight = self.share * self.points.weight[self.projected_points]
-        if self.corners is not None:
-            self._keep_corners_that_act(position)
-
-    def _keep_corners_that_act(self, position: Array) -> None:
-        rows = self.projected_points
-        nodes = self.facets.slave_at(position, self.points.facet[rows])
-        share = self.corners.share(self.slave, nodes, self.points, rows, self.projection.normal)
-        acts = np.flatnonzero(share > 0.0)
-        self.weight = (self.weight * share)[acts]
-        self.position, self.projection = self.position[acts], self.projection[acts]
-        self.projected_points, self.master_facet = rows[acts], self.master_facet[acts]
 
     def overlap(self, position: Array) -> float:
         """Largest depth of the slave surface inside bodies of other parts, um, with the seen nodes at `position`."""
@@ -248,7 +231,7 @@ class SurfacePair(ContactPoints):
             kind,
             self.projection[active],
             shape[active],
-            self.weight[active],
+            self.share * self.points.weight[rows][active],
             (slope[active], charge[active]),
             scaled,
             at.block_size,

@@ -21,7 +21,7 @@ def augment(contact: Interfaces, tolerance: float, potential_range: float) -> Ar
         rows = p.projected_points
         share, jump = electric_share(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
         means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
-        new = p.multipliers.augmented(contact.corner_sums(p, p.weight[:, None] * means))
+        new = p.multipliers.augmented(contact.corner_sums(p, p.points.weight[rows, None] * means))
         size = np.ones(len(p.slave))  # of a facet without points, whose multipliers stay zero
         size[p.points.facet] = p.facet_size
         gap = np.abs(new.gap - p.multipliers.gap) / size[:, None]

@@ -70,14 +70,15 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
     for p in contact.surface_pairs:
         r, gap, rows = p.response, p.projection.gap, p.projected_points
         number, first = p.pair_numbers(contact.pairs)
+        area = p.points.area[rows]
         closed = p.gap <= p.law[rows].equilibrium_gap
         # History is that of the converged step, so bonds that broke in it no longer count.
         bonded = p.law[rows].bonded(p.history[rows])
         together = closed | (p.law[rows].status(p.gap, p.history[rows]) == 2)
         jump = np.abs(p.jump) * together if p.jump is not None else np.zeros(len(gap))
         force = np.where(first, 1.0, -1.0)[:, None] * p.force
-        sums = np.column_stack([force, p.area * closed, p.area * bonded])
-        largest = np.column_stack([-r.slope * p.points.weight[rows] / p.points.area[rows], -gap, jump])
+        sums = np.column_stack([force, p.share * area * closed, p.share * area * bonded])
+        largest = np.column_stack([-r.slope * p.points.weight[rows] / area, -gap, jump])
         for pair in np.unique(number[closed | bonded | (r.slope != 0.0)]):
             of = number == pair
             *total, touching, sticking = sums[of].sum(axis=0)
@@ -96,11 +97,11 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
 
 def totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     """Totals of a plane at the last evaluation. Collective."""
-    d, area, rows = contact.dim, plane.area, plane.projected_points
+    d, area = contact.dim, plane.points.area[plane.near_points]
     closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
     sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
-    pressure = -plane.response.slope * plane.points.weight[rows] / plane.points.area[rows]
+    pressure = -plane.response.slope * plane.points.weight[plane.near_points] / area
     deepest = max(-plane.projection.gap.min(initial=0.0), plane.penetration_of_nodes(contact.state.position))
     largest = np.array([pressure.max(initial=0.0), deepest])
     largest = parallel.largest(contact.comm, largest)

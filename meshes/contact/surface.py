@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,10 +38,6 @@ class Surface:
 
     def __len__(self) -> int:
         return len(self.nodes)
-
-    def __getitem__(self, rows: NDArray) -> Surface:
-        names = ("nodes", "reference", "orientation", "key", "cells", "rounding")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def node_coordinates(space: Any) -> Array:

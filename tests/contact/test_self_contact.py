@@ -201,7 +201,7 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     """And that is always on the other leg, across the open space between them."""
     scene = pressed_hairpin(hairpin(tmp_path / "hairpin.csv"), cells, electric_range=0.1, passes=passes)
     contact, position = moved(scene, closing)
-    (p,) = (p for p in contact.surface_pairs if p.corners is None)
+    (p,) = contact.surface_pairs
     rows, partner = p.projected_points, p.master_facet
     surfaces = p.facets.self_contact
     here, there = surfaces.slave.middle[p.points.facet[rows], 2], surfaces.master.middle[partner, 2]
@@ -238,7 +238,7 @@ def test_what_did_not_face_each_other_may_meet_if_it_is_far_along(tmp_path: Path
         ]
 
     contact, _ = moved(scene, under)
-    (p,) = (p for p in contact.surface_pairs if p.corners is None)
+    (p,) = contact.surface_pairs
     deep = np.flatnonzero(p.projection.gap < 0.0)
     here, there = p.points.facet[p.projected_points[deep]], p.master_facet[deep]
     slave, master = p.facets.self_contact.slave, p.facets.self_contact.master
@@ -317,7 +317,7 @@ def test_nothing_of_straight_fibers_is_tried_against_themselves(cells: str, orde
     state = model.coordinate_vector()
     state.set(0.0)
     contact.detect(state, 1.0)
-    (p,) = (p for p in contact.surface_pairs if p.corners is None)
+    (p,) = contact.surface_pairs
     own = [c for c in p.closest.self_candidates if c is not None]
     assert len(own) == len(scene.body_names) < len(p.closest.self_candidates)
     assert all(len(c.facet) == 0 for c in own)
