@@ -75,7 +75,9 @@ def test_petsc_returns_before_the_error_is_raised(
         snes = stepper.newton.newton.snes
         assert (snes if of_snes else snes.getKSP()).getConvergedReason() != 0  # 0: PETSc has not come to its end
         stepper.size = 1.0
-        assert energies(stepper) == pytest.approx(expected, rel=1e-8, abs=1e-10)
+        # A Krylov solver keeps the preconditioner of the solve that failed, and comes to its end on another path.
+        share = 1e-7 if where == "product" else 1e-10
+        assert energies(stepper) == pytest.approx(expected, rel=1e-8, abs=share * max(expected.values()))
 
 
 @pytest.mark.parametrize("where", CALLS)
