@@ -12,6 +12,8 @@ J is the matrix of voltages over charges of the open electrodes, and minus that 
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -19,6 +21,9 @@ from piezomat.assembly.problem import Problem
 from piezomat.forms.arrays import Array
 from piezomat.solver.linear import LinearSolver
 from piezomat.solver.linear_solve import solve
+from piezomat.solver.outcome import SolveError
+
+log = logging.getLogger("piezomat")
 
 TOLERANCE = 1e-3  # of a Krylov solver, which begins at the solution of the last step
 
@@ -43,11 +48,18 @@ class Capacitance:
         """dQ_i/dV_j at the problem's state, pC/V (2D: per um of depth), symmetric; None without electrodes.
 
         Circuits take part in the equilibrium, but their capacitances are left out. Contact is then evaluated, with its
-        tangent, at this state. SolveError where a linear solve fails.
+        tangent, at this state. Not numbers, and a warning in the log, where a linear solve fails.
         """
-        problem, given = self.problem, self._given
-        if not len(given):
+        if not len(self._given):
             return None
+        try:
+            return self._matrix()
+        except SolveError as error:
+            log.warning("the capacitance of this step is not known: %s", error)
+            return np.full((len(self._given),) * 2, np.nan)
+
+    def _matrix(self) -> Array:
+        problem, given = self.problem, self._given
         if problem.contact is not None:
             problem.contact.set_tolerance_and_tangent(0, 0.0, unconstrained=problem.has_weakly_held_bodies)
         self.linear.linearize(problem.state)
@@ -79,7 +91,15 @@ class Capacitance:
             constraints.ties.set_values(right, unit * scale)
         right.scale(-1.0)
         is_krylov = self.linear.close_tolerance is not None
-        solve(problem, self.linear, self.snes, right, response, TOLERANCE if is_krylov else None, guess=is_krylov)
+        what = problem, self.linear, self.snes, right, response, TOLERANCE if is_krylov else None
+        try:
+            solve(*what, guess=is_krylov)
+        except SolveError:
+            if not is_krylov:
+                raise
+            # Where bodies have come apart the last response is further from this one than nothing.
+            response.set(0.0)
+            solve(*what)
         right.destroy()
         change.axpy(1.0, response)
         return change

@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 from piezomat.scene import Scene, SceneError
 from piezomat.simulation import run
+from piezomat.solver import capacitance
+from piezomat.solver.outcome import SolveError
 from tests.histories import assert_equal
 from tests.scenes import pressed
 
@@ -268,6 +270,27 @@ def test_open_voltage_times_capacitance_is_the_charge_of_a_short_circuit(dimensi
     isolated, short = row(), row(potential=0.0)
     mean = 0.5 * (isolated["capacitance"] + short["capacitance"])
     assert isolated["voltage@lid"] * mean == pytest.approx(-short["charge@lid"], rel=3e-3)
+
+
+def test_capacitance_of_bodies_that_come_apart() -> None:
+    """A Krylov solver begun at the response in contact diverged where there was none, which ended the run."""
+    keys = {"load": {"steps": [2, 2], "factors": {"press": [1.0, -0.5]}}, "solver": {"kind": "iterative"}}
+    result = run(electrode_scene(3, **keys), MPI.COMM_SELF)
+    pressed_together, apart = result.capacitance[1][0][0], result.capacitance[3][0][0]
+    assert result.history[3]["contact_area@lower-upper"] == 0.0
+    assert 0.0 <= apart < 1e-3 * pressed_together
+
+
+def test_a_capacitance_that_cannot_be_solved_for_is_none(monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
+    """The run goes on, and says so."""
+
+    def failing(*given: Any, **more: Any) -> None:
+        raise SolveError("on purpose")
+
+    monkeypatch.setattr(capacitance, "solve", failing)
+    result = run(electrode_scene(2), MPI.COMM_SELF)
+    assert np.isnan(result.capacitance).all() and len(result.history) == 2
+    assert "the capacitance of this step is not known: on purpose" in caplog.text
 
 
 # --- Circuits
