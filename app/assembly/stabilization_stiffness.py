@@ -1,7 +1,7 @@
 """Stabilization stiffness: weak springs on the parts that only contact holds, without which the tangent is singular.
 
 A spring at each unknown of such a part pulls it back to the last converged state, so that it does work in a step and
-bears nothing that lasts.
+bears nothing that lasts. The potential of an open electrode that consists of planes has one too.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.stabilization import stabilization_form
 
 RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the part's stiffness over its size squared
@@ -23,7 +23,7 @@ RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the p
 class StabilizationStiffness:
     """Springs of the unconstrained parts of a model: force factor * stiffness * (x - x_n). Every method is collective.
 
-    is_active: whether a part has springs
+    is_active: whether there are springs
     factor: by how much they are stronger than weak ones, see `piezomat.solver.stabilization_continuation`
     """
 
@@ -32,7 +32,7 @@ class StabilizationStiffness:
         self._unknowns, self._comm = model.unknowns, model.comm
         self._converged_state = converged_state
         self.factor = 1.0
-        self.is_active = bool(model.unconstrained.any())
+        self.is_active = bool(model.unconstrained.any() or _held_by_planes(model).any())
         if self.is_active:
             self._stiffness = _stiffness(model)
             self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
@@ -92,7 +92,19 @@ def _stiffness(model: Model) -> PETSc.Vec:
     springs = model.new_vector()
     test = ufl.TestFunction(model.unknowns.space)
     model.assemble_vector(dolfinx.fem.form(stabilization_form(test, strength)), springs)
+    if model.electric:
+        # Of an electrode as large as the model, whose stiffness is `model.stiffness` in units of the potential too.
+        weak = RELATIVE_STIFFNESS * model.stiffness * model.parts.volume / model.parts.size.max() ** 2
+        entries = model.unknowns.reference_entries(model.dim)
+        springs.array[entries] -= weak * _held_by_planes(model)[: len(entries)]
     return springs
+
+
+def _held_by_planes(model: Model) -> Booleans:
+    """Whether nothing but what touches its planes says which potential an electrode has, (electrodes,). Collective."""
+    electrodes = model.constraints.electrodes
+    nodes = model.comm.allreduce(np.array([len(e.nodes) for e in electrodes], np.int64))
+    return (nodes == 0) & np.array([e.electrode.potential is None for e in electrodes], bool)
 
 
 def _modulus(model: Model, bodies: list[int]) -> Array:

@@ -28,7 +28,7 @@ def doubts(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> list[st
     _check_electrodes(scene, bodies, materials)
     _check_contradictions(scene, bodies)
     found = [_joint(scene, bodies, joint) for joint in bodies.joints]
-    return [text for text in [*found, _locking(scene, bodies, materials)] if text is not None]
+    return [text for text in [*found, _locking(scene, bodies, materials), _level(scene)] if text is not None]
 
 
 def _check_electrodes(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> None:
@@ -117,3 +117,11 @@ def _locking(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> str |
     others = f" and {len(near) - 1} more" if len(near) > 1 else ""
     what = f"body {shown(most)}{others} with Poisson's ratio {ratio[most]:.4g} is too stiff in linear elements"
     return f"{what}, which lock: take mesh.order = 2"
+
+
+def _level(scene: Scene) -> str | None:
+    """Electrodes where nothing has a potential."""
+    rows = [*scene.boundaries, *scene.planes, *scene.electrodes]
+    if not scene.electrodes or any(row.potential is not None for row in rows):
+        return None
+    return "no electrode, boundary or plane has a potential: only differences of voltages have a meaning"

@@ -164,6 +164,13 @@ def electrodes(scene: SceneData) -> None:
             raise unknown_name(
                 f"{key}.follows", electrode.follows, "a factor of load.factors", list(scene.load.factors)
             )
+    rows = [*scene.boundaries, *scene.planes, *scene.electrodes]
+    if not any(row.potential is not None for row in rows):
+        for index, electrode in enumerate(scene.electrodes):
+            if electrode.charge is not None:
+                found = f"{electrode.charge:g} where nothing has a potential"
+                allowed = "a charge beside a potential, such as potential = 0 of another electrode"
+                raise SceneError(f"electrodes[{index}].charge", found, allowed)
 
 
 def circuits(scene: SceneData) -> None:

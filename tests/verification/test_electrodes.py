@@ -228,6 +228,26 @@ def test_planes_as_electrodes() -> None:
     assert charged["voltage@metal"] == pytest.approx(3.0, rel=1e-3)
 
 
+@pytest.mark.mpi
+def test_an_open_plane_that_touches_nothing_as_yet() -> None:
+    """Nothing but a weak link says which potential it has; without one the residual was not a number."""
+    lid = {"name": "lid", "point": [0, 2.05], "normal": [0, -1], "motion": [0, -0.09], "follows": "press"}
+    scene = pressed(
+        2,
+        geometry={"shape": "fiber_array", "columns": 1, "rows": 2},
+        mesh={"size": 0.25, "contact_size": 0.08},
+        bodies={"*": "pvdf"},
+        boundaries=[],
+        planes=[{"name": "floor", "point": "bottom", "potential": 0.0}, lid],
+        electrodes=[{"name": "metal", "on": ["lid"]}],
+        load={"steps": [3], "factors": {"press": [1.0]}},
+    )
+    history = run(scene, MPI.COMM_WORLD).history
+    assert history[0]["force_y@lid"] == 0.0 and history[0]["voltage@metal"] == 0.0
+    assert history[2]["force_y@lid"] < -1.0 and history[2]["voltage@metal"] > 1.0
+    assert abs(history[2]["charge@metal"]) < 1e-6 * history[2]["electric"] / history[2]["voltage@metal"]
+
+
 # --- Capacitance
 
 
@@ -291,6 +311,26 @@ def test_a_capacitance_that_cannot_be_solved_for_is_none(monkeypatch: pytest.Mon
     result = run(electrode_scene(2), MPI.COMM_SELF)
     assert np.isnan(result.capacitance).all() and len(result.history) == 2
     assert "the capacitance of this step is not known: on purpose" in caplog.text
+
+
+def test_without_any_potential_a_run_warns(caplog: Any) -> None:
+    """The level of the potential is then what weak links make it; the difference is that of the closed form."""
+    rows = [
+        {"on": group, "displacement": [0.0 if i == axis else "free" for i in range(2)]}
+        for group, axis in (("bottom", 1), ("root", 0), ("tip", 0))
+    ]
+    scene = Scene(
+        geometry={"shape": "cantilever", "length": 1.0, "layers": [0.5, 0.5], "divisions": [2, 2]},
+        bodies={"layer_*": "pvdf"},
+        boundaries=[*rows, {"on": "top", "traction": [0.0, -1.0]}],
+        electrodes=[{"name": "lid", "on": ["top"]}, {"name": "floor", "on": ["bottom"]}],
+    )
+    row = last(scene, MPI.COMM_SELF)
+    assert "only differences of voltages have a meaning" in caplog.text
+    assert row["voltage@lid"] - row["voltage@floor"] == pytest.approx(0.2064989519, rel=1e-6)
+    charged = [{"name": "lid", "on": ["top"], "charge": 1e-5}, {"name": "floor", "on": ["bottom"]}]
+    with pytest.raises(SceneError, match="1e-05 where nothing has a potential"):
+        Scene(**{**scene.model_dump(exclude_none=True), "electrodes": charged})
 
 
 # --- Circuits
