@@ -28,11 +28,11 @@ class Circuits:
         self._scale = model.potential_scale if model.potential_scale is not None else 1.0
         self._tangent = -(self._scale**2) * self.matrix
         self._ties = model.constraints.ties
-        self._entries = model.unknowns.reference_entries(model.dim)
+        self._holds_references = model.unknowns.references_here > 0
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add the tangent to a matrix that is still to be assembled. Collective."""
-        if not self.exist or not len(self._entries):
+        if not self.exist or not self._holds_references:
             return
         numbers = self._ties.references.astype(PETSc.IntType)
         matrix.setValues(numbers, numbers, self._tangent, addv=PETSc.InsertMode.ADD_VALUES)
@@ -41,8 +41,7 @@ class Circuits:
         """Add the charges that the circuits hold at x. Collective."""
         if not self.exist:
             return
-        charges = self._tangent @ self._ties.values(x)
-        result.array[self._entries] += charges[: len(self._entries)]
+        self._ties.add_values(result, self._tangent @ self._ties.values(x))
 
     def charges(self, x: PETSc.Vec) -> Array:
         """Charges (electrodes,) that have flowed into the circuits at x, pC (2D: per um of depth). Collective."""

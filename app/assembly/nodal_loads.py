@@ -35,8 +35,7 @@ class NodalLoads:
         if self._form is not None:
             model.assemble_vector(self._form, self.vector)
         if self._charged:
-            entries = model.unknowns.reference_entries(model.dim)
-            self.vector.array[entries] = model.potential_scale * model.loads.charges[: len(entries)]
+            model.constraints.ties.set_values(self.vector, model.potential_scale * model.loads.charges)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add their tangent at the trial state of the model to a matrix that is still to be assembled."""

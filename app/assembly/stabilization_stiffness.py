@@ -32,9 +32,10 @@ class StabilizationStiffness:
         self._unknowns, self._comm = model.unknowns, model.comm
         self._converged_state = converged_state
         self.factor = 1.0
-        self.is_active = bool(model.unconstrained.any() or _held_by_planes(model).any())
+        held_by_planes = _held_by_planes(model)
+        self.is_active = bool(model.unconstrained.any() or held_by_planes.any())
         if self.is_active:
-            self._stiffness = _stiffness(model)
+            self._stiffness = _stiffness(model, held_by_planes)
             self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
@@ -81,8 +82,11 @@ class StabilizationStiffness:
         matrix.setDiagonal(diagonal)
 
 
-def _stiffness(model: Model) -> PETSc.Vec:
-    """The springs at factor 1: one at each unknown, none where boundaries constrain the part."""
+def _stiffness(model: Model, held_by_planes: Booleans) -> PETSc.Vec:
+    """The springs at factor 1: one at each unknown, none where boundaries constrain the part.
+
+    held_by_planes: see `_held_by_planes`.
+    """
     strength = dolfinx.fem.Function(fenicsx.piecewise_constant(model.mesh, 2))
     modulus = np.array([_modulus(model, members) for members in model.bodies.part_bodies])
     values = RELATIVE_STIFFNESS * modulus / model.parts.size[:, None] ** 2 * model.unconstrained
@@ -95,8 +99,7 @@ def _stiffness(model: Model) -> PETSc.Vec:
     if model.electric:
         # Of an electrode as large as the model, whose stiffness is `model.stiffness` in units of the potential too.
         weak = RELATIVE_STIFFNESS * model.stiffness * model.parts.volume / model.parts.size.max() ** 2
-        entries = model.unknowns.reference_entries(model.dim)
-        springs.array[entries] -= weak * _held_by_planes(model)[: len(entries)]
+        model.constraints.ties.add_values(springs, -weak * held_by_planes)
     return springs
 
 

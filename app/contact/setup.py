@@ -165,7 +165,7 @@ def _geodesic(model: Model, thickness: Array) -> PETSc.Vec:
     values = np.zeros((model.unknowns.owned, model.unknowns.block))
     distance = geodesic_distance(model.unknowns.space, model.parts.node_part, len(model.bodies.part_bodies))
     values[:, 0] = (distance / neighbourhood)[: model.unknowns.owned]
-    vector.array[: values.size] = values.ravel()
+    model.unknowns.set_by_node(vector, values)
     return vector
 
 
@@ -198,8 +198,8 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
     high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
     voltage = model.prescription.largest_voltage()
-    unknowns, electrodes = model.unknowns, model.constraints.electrodes
-    nodes = {name: unknowns.total // unknowns.block + e.reference for e in electrodes for name in e.planes}
+    electrodes = model.constraints.electrodes
+    nodes = {name: model.unknowns.reference_node(e.reference) for e in electrodes for name in e.planes}
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]))

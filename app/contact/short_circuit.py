@@ -59,10 +59,8 @@ def short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) 
 
 def _possible(model: Model, contact: Interfaces) -> bool:
     """Whether there are two electrodes, and a contact that passes charges."""
-    scene = model.scene
-    given = [row.potential for row in (*scene.boundaries, *scene.planes, *scene.electrodes)]
     some = any(p.law.electric_penalty is not None for p in contact.point_sets)
-    return model.electric and some and sum(potential is not None for potential in given) > 1
+    return model.electric and some and len(model.scene.potentials) > 1
 
 
 def _described(model: Model, number: int, factors: dict[str, float]) -> str:
@@ -112,7 +110,7 @@ def _electrodes(model: Model) -> PETSc.Vec:
     for e in model.constraints.electrodes:
         if e.electrode.potential is not None:
             values[e.nodes, 0] = len(model.scene.boundaries) + len(model.scene.planes) + e.reference + 1
-    vector.array[: values.size] = values.ravel()
+    model.unknowns.set_by_node(vector, values)
     return vector
 
 

@@ -121,7 +121,6 @@ def _locking(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> str |
 
 def _level(scene: Scene) -> str | None:
     """Electrodes where nothing has a potential."""
-    rows = [*scene.boundaries, *scene.planes, *scene.electrodes]
-    if not scene.electrodes or any(row.potential is not None for row in rows):
+    if not scene.electrodes or scene.potentials:
         return None
     return "no electrode, boundary or plane has a potential: only differences of voltages have a meaning"

@@ -9,7 +9,6 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from piezomat.discretization.unknowns import Unknowns
-from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Booleans
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.scene.errors import SceneError, named, shown
@@ -50,7 +49,8 @@ def electrode_nodes(
         here: Booleans = np.zeros(unknowns.owned, bool)
         for group in members.facet_groups:
             here[unknowns.nodes_of(bodies.facets[group])] = True
-        here[_nodes_of_bodies(unknowns, bodies, [bodies.bodies.index(name) for name in members.bodies])] = True
+        numbers = [bodies.bodies.index(name) for name in members.bodies]
+        here |= unknowns.touched(np.isin(bodies.cell_body, numbers))[: unknowns.owned]
         here &= dielectric_node[: unknowns.owned]
         if not comm.allreduce(bool(here.any()), op=MPI.LOR) and not members.planes:
             place = f"{named(electrode.on)}, where no body has a permittivity"
@@ -70,11 +70,3 @@ def electrode_nodes(
         owner[here] = number
         found.append(ElectrodeNodes(electrode, number, np.flatnonzero(here), members.planes))
     return found
-
-
-def _nodes_of_bodies(unknowns: Unknowns, bodies: BodyMesh, numbers: list[int]) -> NDArray[np.int64]:
-    """Owned nodes of some bodies. Collective."""
-    nodes = fenicsx.dofmap(unknowns.space)
-    touched = np.zeros(unknowns.local)
-    touched[nodes[np.isin(bodies.cell_body[: len(nodes)], numbers)]] = 1.0
-    return np.flatnonzero(fenicsx.sum_over_ranks(unknowns.space, touched)[: unknowns.owned] > 0.0)

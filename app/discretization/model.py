@@ -15,8 +15,6 @@ from piezomat.discretization.loads import Loads
 from piezomat.discretization.prescription import Prescription
 from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
-from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Booleans
 from piezomat.forms.enthalpy import constitutive_field
 from piezomat.forms.materials import Material
 from piezomat.meshes.body_mesh import BodyMesh
@@ -73,7 +71,8 @@ class Model:
             bodies.cell_body,
             self.potential_scale,
         )
-        dielectric = self._dielectric_nodes()
+        has_permittivity = np.array([m.electric for m in self.materials])
+        dielectric = self.unknowns.touched(has_permittivity[bodies.cell_body])
         self.parts = parts_of(bodies, self.unknowns)
         self.constraints = Constraints(scene, self.unknowns, bodies, dielectric, self.potential_scale)
         self.prescription = Prescription(self.comm, self.constraints, scene.planes, scene.load)
@@ -101,7 +100,7 @@ class Model:
         vector, owned = self.new_vector(), self.unknowns.owned
         values = np.zeros((owned, self.unknowns.block))
         values[:, : self.dim] = self.unknowns.coordinates[:owned]
-        vector.array[: values.size] = values.ravel()
+        self.unknowns.set_by_node(vector, values)
         return vector
 
     def assemble_vector(self, form: Any, result: PETSc.Vec) -> None:
@@ -118,11 +117,3 @@ class Model:
         nodal = x.array_r[: self.unknowns.owned * self.unknowns.block]
         self.trial_state.x.array[: len(nodal)] = nodal
         self.trial_state.x.scatter_forward()
-
-    def _dielectric_nodes(self) -> Booleans:
-        """Whether a body with permittivity touches each local node."""
-        nodes = fenicsx.dofmap(self.unknowns.space)
-        dielectric = np.array([m.electric for m in self.materials])
-        touched = np.zeros(self.unknowns.local)
-        touched[nodes[dielectric[self.bodies.cell_body[: len(nodes)]]]] = 1.0
-        return fenicsx.sum_over_ranks(self.unknowns.space, touched) > 0.0

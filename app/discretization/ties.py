@@ -59,8 +59,12 @@ class Ties:
         return self._comm.bcast(vector.array_r[self._local], self._owner)
 
     def set_values(self, vector: PETSc.Vec, values: Sequence[float]) -> None:
-        """Give the references these values (g,), the same on all ranks. Not collective."""
+        """Give the references these values (g,), the same on all ranks. Not collective, but for all ranks."""
         vector.array[self._local] = values[: len(self._local)]
+
+    def add_values(self, vector: PETSc.Vec, values: Array) -> None:
+        """Add values (g,), the same on all ranks, to those of the references. Not collective, but for all ranks."""
+        vector.array[self._local] += values[: len(self._local)]
 
     def sums(self, vector: PETSc.Vec) -> Array:
         """Sums (g,) over the unknowns of each group, its reference included: the groups' part of T^T. Collective."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.surface import node_coordinates
 
@@ -54,9 +54,13 @@ class Unknowns:
         self.references_here = references if self.comm.rank == self.comm.size - 1 else 0
         self.coordinates = node_coordinates(self.space)
 
+    def reference_node(self, reference: int) -> int:
+        """Global number of a reference node."""
+        return self.total // self.block + reference
+
     def reference_number(self, reference: int, component: int) -> int:
         """Global number of an unknown of a reference node."""
-        return self.total + reference * self.block + component
+        return self.reference_node(reference) * self.block + component
 
     def empty_vector(self, comm: MPI.Comm) -> PETSc.Vec:
         """A distributed vector on a communicator of the mesh's ranks. Collective.
@@ -76,6 +80,10 @@ class Unknowns:
     def by_node(self, vector: PETSc.Vec) -> Array:
         """View (owned, block) of this rank's values of a vector at the nodes of the mesh, for reading."""
         return vector.array_r[: self.owned * self.block].reshape(self.owned, self.block)
+
+    def set_by_node(self, vector: PETSc.Vec, values: Array) -> None:
+        """Give a vector these values (owned, block) at the nodes of the mesh. Not collective, but for all ranks."""
+        vector.array[: values.size] = values.ravel()
 
     def reference_entries(self, component: int) -> NDArray[np.int64]:
         """Local numbers (references_here,) of an unknown of this rank's reference nodes."""
@@ -113,6 +121,13 @@ class Unknowns:
         """Owned nodes on facets of any rank. Collective."""
         nodes = dolfinx.fem.locate_dofs_topological(self.space, self.dim - 1, facets)
         return np.asarray(nodes[nodes < self.owned], np.int64)
+
+    def touched(self, cells: Booleans) -> Booleans:
+        """Whether one of these cells (of this rank,) of any rank touches each local node (local,). Collective."""
+        nodes = fenicsx.dofmap(self.space)
+        touched = np.zeros(self.local)
+        touched[nodes[cells[: len(nodes)]]] = 1.0
+        return fenicsx.sum_over_ranks(self.space, touched) > 0.0
 
     def _owned_nodes(self) -> NDArray[np.int64]:
         return np.arange(self.first_node, self.first_node + self.owned + self.references_here)

@@ -58,7 +58,7 @@ class EnergyBalance:
             self.stabilization_work += float(snap_through_work[1])
         self._add_planes()
         self.stabilization_work += problem.stabilization.work(problem.state)
-        self.forces.array[: new.size] = new.ravel()
+        problem.model.unknowns.set_by_node(self.forces, new)
 
     def _plane_values(self) -> Array:
         """Force (d,), position (d,), charge and potential of each plane, (planes, 2 d + 2)."""

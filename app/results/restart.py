@@ -125,8 +125,7 @@ def restore(stored: checkpoint.Checkpoint, problem: Problem, stepper: Stepper, b
     scalars: Scalars = stored.scalars
     ids, width = _node_ids(model), model.unknowns.block
     for vector, name in ((problem.state, "state"), (balance.forces, "forces")):
-        values = stored.nodal(name, ids, width)
-        vector.array[: values.size] = values.ravel()
+        model.unknowns.set_by_node(vector, stored.nodal(name, ids, width))
     if len(scalars.references) == len(model.constraints.electrodes):
         model.constraints.ties.set_values(problem.state, scalars.references)
     balance.external_work = scalars.external_work

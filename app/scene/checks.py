@@ -101,8 +101,7 @@ def boundaries(scene: SceneData) -> None:
                 allowed = f'what boundaries[{first}] does not give on "{row.on}" already'
                 raise SceneError(f"{key}.{what.partition(' ')[0]}", f"the {what} again", allowed)
             given[row.on, what] = index
-        if row.follows is not None and row.follows not in scene.load.factors:
-            raise unknown_name(f"{key}.follows", row.follows, "a factor of load.factors", list(scene.load.factors))
+        _check_factor(scene, f"{key}.follows", row.follows)
 
 
 def planes(scene: SceneData) -> None:
@@ -112,12 +111,9 @@ def planes(scene: SceneData) -> None:
     names: dict[str, int] = {}
     for index, plane in enumerate(scene.planes):
         key = f"planes[{index}]"
-        if plane.name in names:
-            allowed = f"a name of its own: it is that of planes[{names[plane.name]}]"
-            raise SceneError(f"{key}.name", shown(plane.name), allowed)
+        _check_own_name("planes", index, plane.name, names)
         if plane.name in scene.facet_groups or plane.name in scene.body_names:
             raise SceneError(f"{key}.name", shown(plane.name), "a name that no facet group and no body has")
-        names[plane.name] = index
         if isinstance(plane.point, str) and plane.point not in SIDES[scene.dimension]:
             allowed = f"{named(list(SIDES[scene.dimension]))} in two dimensions, or a point"
             raise SceneError(f"{key}.point", shown(plane.point), allowed)
@@ -129,9 +125,7 @@ def planes(scene: SceneData) -> None:
             allowed = "nothing, unless the material of a body has a permittivity"
             raise SceneError(f"{key}.potential", plane.potential, allowed)
         for name in ("follows", "potential_follows"):
-            factor = getattr(plane, name)
-            if factor is not None and factor not in scene.load.factors:
-                raise unknown_name(f"{key}.{name}", factor, "a factor of load.factors", list(scene.load.factors))
+            _check_factor(scene, f"{key}.{name}", getattr(plane, name))
 
 
 def electrodes(scene: SceneData) -> None:
@@ -143,10 +137,7 @@ def electrodes(scene: SceneData) -> None:
         if not scene.electric:
             allowed = "none, unless the material of a body has a permittivity"
             raise SceneError(key, f"the electrode {shown(electrode.name)}", allowed)
-        if electrode.name in names:
-            allowed = f"a name of its own: it is that of electrodes[{names[electrode.name]}]"
-            raise SceneError(f"{key}.name", shown(electrode.name), allowed)
-        names[electrode.name] = index
+        _check_own_name("electrodes", index, electrode.name, names)
         planes = {plane.name: plane for plane in scene.planes}
         known = [*scene.facet_groups, *scene.body_names, *planes]
         for place, name in enumerate(electrode.on):
@@ -160,17 +151,11 @@ def electrodes(scene: SceneData) -> None:
             if member in planes and planes[member].potential is not None:
                 allowed = "a plane without potential of its own, or potential in [[electrodes]] alone"
                 raise SceneError(f"{key}.on", f"{shown(member)}, a plane with a potential", allowed)
-        if electrode.follows is not None and electrode.follows not in scene.load.factors:
-            raise unknown_name(
-                f"{key}.follows", electrode.follows, "a factor of load.factors", list(scene.load.factors)
-            )
-    rows = [*scene.boundaries, *scene.planes, *scene.electrodes]
-    if not any(row.potential is not None for row in rows):
-        for index, electrode in enumerate(scene.electrodes):
-            if electrode.charge is not None:
-                found = f"{electrode.charge:g} where nothing has a potential"
-                allowed = "a charge beside a potential, such as potential = 0 of another electrode"
-                raise SceneError(f"electrodes[{index}].charge", found, allowed)
+        _check_factor(scene, f"{key}.follows", electrode.follows)
+        if electrode.charge is not None and not scene.potentials:
+            found = f"{electrode.charge:g} where nothing has a potential"
+            allowed = "a charge beside a potential, such as potential = 0 of another electrode"
+            raise SceneError(f"{key}.charge", found, allowed)
 
 
 def circuits(scene: SceneData) -> None:
@@ -182,6 +167,19 @@ def circuits(scene: SceneData) -> None:
                 raise unknown_name(f"circuits[{index}].between[{side}]", name, "a name of [[electrodes]]", known)
         if circuit.between[0] == circuit.between[1]:
             raise SceneError(f"circuits[{index}].between", circuit.between, "two different electrodes")
+
+
+def _check_factor(scene: SceneData, key: str, factor: str | None) -> None:
+    if factor is not None and factor not in scene.load.factors:
+        raise unknown_name(key, factor, "a factor of load.factors", list(scene.load.factors))
+
+
+def _check_own_name(section: str, index: int, name: str, names: dict[str, int]) -> None:
+    """Raise SceneError for a name that an earlier row of the section has; `names` holds their rows, and then this."""
+    if name in names:
+        allowed = f"a name of its own: it is that of {section}[{names[name]}]"
+        raise SceneError(f"{section}[{index}].name", shown(name), allowed)
+    names[name] = index
 
 
 def _prescribed(row: Boundary) -> list[str]:

@@ -105,6 +105,12 @@ class SceneData(Keys):
         return any(self.oriented(name).permittivity is not None for name in set(self.bodies.values()))
 
     @property
+    def potentials(self) -> list[float]:
+        """The potentials that boundaries, planes and electrodes are given, without their factors."""
+        rows = [*self.boundaries, *self.planes, *self.electrodes]
+        return [row.potential for row in rows if row.potential is not None]
+
+    @property
     def sizes(self) -> MeshSizes:
         """Sizes, order and kind of the elements to build; without `mesh.size` the size is that of the smallest body."""
         size = self.mesh.size or (1.0 if isinstance(self.geometry, MeshFile) else self.geometry.size())

@@ -51,7 +51,7 @@ class Condensation:
         self.block = problem.model.unknowns.block
         self._unknowns = problem.model.unknowns.numbers
         unknowns = problem.model.unknowns
-        self._references = unknowns.total // self.block + np.arange(unknowns.references)
+        self._references = unknowns.reference_node(0) + np.arange(unknowns.references)
         self.candidates = self._references
         motion = problem.model.prescription.largest_motion() or problem.contact.least_search_radius()
         self._distance = CANDIDATE_DISTANCE * motion
