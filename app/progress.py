@@ -54,9 +54,8 @@ class Progress:
             return
         factors = "  ".join(f"{k.removeprefix('factor:')} {v:+.4f}" for k, v in row.items() if k.startswith("factor:"))
         cut = f", cut {row['cutbacks']} times" if row["cutbacks"] else ""
-        line = (
-            f"step {row['step']:3d}/{self._total}  {factors}  {row['newton']} iterations{cut}  {row['seconds']:.2f} s"
-        )
+        effort = f"{row['newton']} iterations, {row['linear_solves']} linear solves{cut}"
+        line = f"step {row['step']:3d}/{self._total}  {factors}  {effort}  {row['seconds']:.2f} s"
         self._attempt(lambda: self._print(line))
         self._start_waiting()
         log.info("%s", line)

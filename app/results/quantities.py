@@ -268,7 +268,8 @@ EFFORT = Group(
     lambda at: [at],
     (
         Quantity("newton", "", "Newton iterations", attrgetter("report.newton")),
-        Quantity("krylov", "", "linear solves or Krylov iterations", attrgetter("report.krylov")),
+        Quantity("linear_solves", "", "linear solves with the tangent", attrgetter("report.linear_solves")),
+        Quantity("krylov", "", "Krylov iterations, a direct solve counted as one", attrgetter("report.krylov")),
         Quantity("cutbacks", "", "how often the step was cut", attrgetter("report.cutbacks")),
         Quantity("seconds", "s", "wall clock of the step", attrgetter("seconds")),
         Quantity(

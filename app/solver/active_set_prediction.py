@@ -96,6 +96,7 @@ class ActiveSetPrediction:
                     ksp.solve(self._right, self._work)
             problem.model.constraints.expand(self._work)
             change.axpy(1.0, self._work)
+            report.linear_solves += 1
             report.krylov += ksp.getIterationNumber()
         best.copy(change)
         contact.end_prediction()

@@ -68,13 +68,14 @@ def steps(load: Load) -> Iterator[Step]:
 
 @dataclass
 class StepReport:
-    """Effort of a load step: Newton and Krylov iterations, cuts, augmentations, and the report of each solve.
+    """Effort of a load step: Newton iterations, linear solves, Krylov iterations, cuts, augmentations, each solve's report.
 
     snap_through_work (2,): see `snap_through_work`, of the last part that converged; None where nothing has snapped.
     is_erratic: whether a solve wandered far from equilibrium until rounding may have picked where it ended.
     """
 
     newton: int = 0
+    linear_solves: int = 0
     krylov: int = 0
     cutbacks: int = 0
     augmentations: int = 0
@@ -203,6 +204,7 @@ class Stepper:
             else:
                 self.newton.solve(search_radius, solve)
             report.newton += solve.iterations
+            report.linear_solves += solve.linear_solves
             report.krylov += solve.krylov
             report.solves.append(solve)
             report.is_erratic |= solve.wandering >= WANDERING

@@ -144,6 +144,7 @@ class Newton:
         with self._timed_linear_solve, self.callback_errors.raised():
             self.snes.solve(None, self.problem.state)
         self._report.iterations += self.snes.getIterationNumber()
+        self._report.linear_solves += self.snes.getIterationNumber()
         self._report.krylov += self.snes.getLinearSolveIterations()
         self.watch.end_step()
 

@@ -56,6 +56,7 @@ class StartValue:
         tolerance = self.linear.close_tolerance if closely else self.linear.start_tolerance
         solve(problem, self.linear, self.snes, right, step, tolerance)
         report.iterations += 1
+        report.linear_solves += 1
         report.krylov += self.snes.getKSP().getIterationNumber()
         if self.prediction.is_cheap:
             # From here on contact alone is out of balance: its prediction takes no solve inside the bodies.

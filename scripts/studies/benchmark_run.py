@@ -18,6 +18,7 @@ last = done.history[-1]
 answer = {
     "unknowns": done.model.unknowns.total,
     "newton": [row["newton"] for row in done.history],
+    "linear_solves": [row["linear_solves"] for row in done.history],
     "force": last["force_y@top" if done.model.dim == 2 else "force_z@top"],
     "potential": last.get("mean_potential@top"),
     "pressure": next(value for name, value in last.items() if name.startswith("max_pressure@")),  # of the one pair

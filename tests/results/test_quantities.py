@@ -43,7 +43,7 @@ def columns_of(scene: Scene) -> list[str]:
         problem.close()
 
 
-EFFORT = ["newton", "krylov", "cutbacks", "seconds"]
+EFFORT = ["newton", "linear_solves", "krylov", "cutbacks", "seconds"]
 ENERGIES = ["elastic", "electric", "contact", "adhesion", "stabilization", "external_work", "dissipated"]
 
 

@@ -17,7 +17,8 @@ from tests.histories import assert_equal
 from tests.marching import reports, stepper_of
 from tests.scenes import pressed
 
-EFFORT = ("newton", "krylov")  # less where it is condensed: see `piezomat.solver.active_set_prediction`
+# Less where it is condensed: see `piezomat.solver.active_set_prediction`.
+EFFORT = ("newton", "linear_solves", "krylov")
 WHOLE = {"petsc": {"mat_mumps_icntl_14": 60}}  # an option of the factorization means that of the whole tangent
 
 

@@ -87,7 +87,7 @@ def test_long_steps_say_what_they_are_at(monkeypatch: pytest.MonkeyPatch, capsys
     """After 10 s, then every 10 s at most, where there is no terminal ever more seldom."""
     now = 0.0
     monkeypatch.setattr(progress, "monotonic", lambda: now)
-    row = {"step": 1, "cutbacks": 0, "newton": 3, "seconds": 1.0}
+    row = {"step": 1, "cutbacks": 0, "newton": 3, "linear_solves": 4, "seconds": 1.0}
     with Progress(MPI.COMM_SELF, "title", 3, 0) as display:
         for now in (1.0, 9.9, 10.1, 15.0, 29.0, 30.2, 69.0):
             display.working(f"at {now}")
