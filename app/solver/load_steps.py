@@ -68,8 +68,9 @@ def steps(load: Load) -> Iterator[Step]:
 
 @dataclass
 class StepReport:
-    """Effort of a load step: Newton iterations, linear solves, Krylov iterations, cuts, augmentations, each solve's report.
+    """Effort of a load step: iterations, linear solves, cuts, augmentations, and the report of each solve.
 
+    newton, linear_solves, krylov: see `NewtonReport`, whose `iterations` newton sums.
     snap_through_work (2,): see `snap_through_work`, of the last part that converged; None where nothing has snapped.
     is_erratic: whether a solve wandered far from equilibrium until rounding may have picked where it ended.
     """

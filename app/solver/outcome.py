@@ -23,10 +23,11 @@ class SolveError(RuntimeError):
 class NewtonReport:
     """Effort of the solution of one load level.
 
-    iterations: Newton iterations, the start value counted as one; linear_solves: with the tangent, those of the
-    active-set prediction included; krylov: iterations of the Krylov solver, a direct solve counted as one; residuals: relative residual at each iteration. With a condensed bulk, factor_solves: solves
-    with the factors of the bulk on this rank; candidates: nodes that the bulk is condensed to, at the end. wandering:
-    iterations of the last solve that converged whose relative residual was above `FAR`.
+    iterations: Newton iterations, the start value counted as one; linear_solves: with the tangent, those of the active-
+    set prediction included; krylov: iterations of the Krylov solver, a direct solve counted as one; residuals: relative
+    residual at each iteration. With a condensed bulk, factor_solves: solves with the factors of the bulk on this rank;
+    candidates: nodes that the bulk is condensed to, at the end. wandering: iterations of the last solve that converged
+    whose relative residual was above `FAR`.
     """
 
     iterations: int = 0
