@@ -344,7 +344,7 @@ class _Session:
             self._fields = FieldOutput(self.problem)
         self.results.fields(self.last_step, float(self.last_step), self._fields.piece())
         if self.problem.contact is not None:
-            points = contact_points(self.problem.contact, self.model.electric)
+            points = contact_points(self.problem.contact, self.model)
             self.results.contact(self.last_step, points, float(self.last_step))
 
     def _save_checkpoint(self) -> None:

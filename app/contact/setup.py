@@ -202,7 +202,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     nodes = {name: model.unknowns.reference_node(e.reference) for e in electrodes for name in e.planes}
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
-        start, normal = _place(plane, np.stack([low, high]))
+        start, normal = _place(plane, np.stack([low, high]), model.unknowns.origin)
         is_electrode = plane.potential is not None or plane.name in nodes
         electric = permittivity if is_electrode else None
         law = interface_law(keys, voltage, size, stiffness, electric)
@@ -222,15 +222,18 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     return found
 
 
-def _place(plane: Plane, box: Array) -> tuple[Array, Array]:
-    """A point (d,) of the plane and its unit normal (d,); box (2, d): low and high ends of all bodies."""
+def _place(plane: Plane, box: Array, origin: Array) -> tuple[Array, Array]:
+    """A point (d,) of the plane and its unit normal (d,); box (2, d): low and high ends of all bodies.
+
+    Point and box are relative to the origin (d,) of the nodes' coordinates.
+    """
     dim = box.shape[1]
     if isinstance(plane.point, str):
         axis, end = SIDES[dim][plane.point]
         inward = np.eye(dim)[axis] * (1.0 if end == 0 else -1.0)
         start, normal = box[end] * np.eye(dim)[axis], np.asarray(plane.normal or inward, float)
     else:
-        start, normal = np.asarray(plane.point, float), np.asarray(plane.normal, float)
+        start, normal = np.asarray(plane.point, float) - origin, np.asarray(plane.normal, float)
     return start, normal / np.linalg.norm(normal)
 
 

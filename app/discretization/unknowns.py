@@ -36,7 +36,9 @@ class Unknowns:
     local: number of nodes that this rank holds, ghosts included
     first_node: global number of the first owned node
     total: number of unknowns at the nodes of the mesh over all ranks
-    coordinates (local, dim), um: the nodes in the undeformed state
+    origin (dim,), um: a point near the mesh, the same on all ranks; zero where the mesh is near zero
+    coordinates (local, dim), um: the nodes in the undeformed state, relative to the origin: gaps of contact are
+        differences of positions, and lose no digits far from zero
     """
 
     def __init__(self, mesh: Any, order: int, *, electric: bool, references: int = 0) -> None:
@@ -52,7 +54,9 @@ class Unknowns:
         self.total: int = index_map.size_global * self.block
         self.references = references
         self.references_here = references if self.comm.rank == self.comm.size - 1 else 0
-        self.coordinates = node_coordinates(self.space)
+        coordinates = node_coordinates(self.space)
+        self.origin = _origin(self.comm, coordinates)
+        self.coordinates = coordinates - self.origin
 
     def reference_node(self, reference: int) -> int:
         """Global number of a reference node."""
@@ -131,3 +135,14 @@ class Unknowns:
 
     def _owned_nodes(self) -> NDArray[np.int64]:
         return np.arange(self.first_node, self.first_node + self.owned + self.references_here)
+
+
+def _origin(comm: MPI.Comm, x: Array) -> Array:
+    """A point (dim,) near the nodes x (n, dim) of all ranks, um, from which they differ by exact numbers. Collective.
+
+    A multiple of a power of two that is no smaller than the mesh: the difference of two numbers of one size is exact.
+    """
+    low = parallel.least(comm, x.min(axis=0, initial=np.inf))
+    high = parallel.largest(comm, x.max(axis=0, initial=-np.inf))
+    unit = 2.0 ** np.ceil(np.log2((high - low).max()))
+    return unit * np.round(0.5 * (low + high) / unit)

@@ -9,6 +9,7 @@ import ufl
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
+from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.evaluation import center_expression
@@ -68,7 +69,7 @@ class FieldOutput:
         )
 
 
-def contact_points(contact: Interfaces, electric: bool) -> ContactPoints:
+def contact_points(contact: Interfaces, model: Model) -> ContactPoints:
     """This rank's contact points near another surface or a plane, at the last evaluation."""
     columns: list[list[Array]] = [[] for _ in range(7)]
     for p in contact.point_sets:
@@ -77,12 +78,13 @@ def contact_points(contact: Interfaces, electric: bool) -> ContactPoints:
         pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
         status = p.law[rows].status(p.gap, p.history[rows])
-        parts = [p.position, p.projection.normal, gap, pressure, status, p.numbers_in_results(contact.pairs), jump]
+        place, numbers = p.position + model.unknowns.origin, p.numbers_in_results(contact.pairs)
+        parts = [place, p.projection.normal, gap, pressure, status, numbers, jump]
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)
     return ContactPoints(
-        _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if electric else None
+        _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if model.electric else None
     )
 
 
