@@ -179,11 +179,6 @@ class Interfaces:
         within = self.interaction_range + distance
         return self.nodes.number[np.concatenate([p.facet_pairs_within(within) for p in self.point_sets])]
 
-    def overlap(self) -> float:
-        """Largest depth of slave surfaces inside the masters' bodies at the state of the last detection, um."""
-        position = self.nodes.reference + self._search.detected_at
-        return self.comm.allreduce(max((p.overlap(position) for p in self.surface_pairs), default=0.0), op=MPI.MAX)
-
     # --- Evaluation ---
 
     def evaluate(self, state: PETSc.Vec, *, tangent: bool, search: bool = True) -> ContactTerms:

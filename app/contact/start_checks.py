@@ -6,6 +6,7 @@ from petsc4py import PETSc
 
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.short_circuit import check_short_circuit
+from piezomat.contact.start_overlap import start_overlap
 from piezomat.discretization.model import Model
 from piezomat.scene.checks import OVERLAP
 from piezomat.scene.errors import SceneError
@@ -20,7 +21,7 @@ def check_start(model: Model, contact: Interfaces | None, state: PETSc.Vec) -> N
         return
     size = float(model.parts.thickness.min())
     contact.detect(state, size)
-    overlap = contact.overlap()
+    overlap = start_overlap(model, contact)
     if overlap > OVERLAP * size:
         raise SceneError(
             "geometry",

@@ -21,7 +21,6 @@ from piezomat.forms.contact.laws.response import History, Response
 from piezomat.forms.contact.segments import nearest_points, segment_points
 from piezomat.meshes.contact.facet_bounds import facing_pairs
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
-from piezomat.meshes.contact.overlap import deepest_overlap
 
 # Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
 # the square of it.
@@ -117,20 +116,6 @@ class SurfacePair(ContactPoints):
         """Find the closest points with the seen nodes at `position` (n, d). LinAlgError: facets have collapsed."""
         projected, self.position, self.projection = self.closest.update(position, limits)
         self.projected_points, self.master_facet = self.near_points[projected], self.closest.facet[projected]
-
-    def overlap(self, position: Array) -> float:
-        """Largest depth of the slave surface inside bodies of other parts, um, with the seen nodes at `position`."""
-        facets, deepest = self.facets, 0.0
-        centers, masters = position[self.slave_nodes].mean(axis=1), facets.master_at(position)
-        near = self.closest.candidates
-        for rows, targets, same_part in zip(near.points, near.facets, near.same_part, strict=True):
-            if same_part:
-                continue  # a surface lies on its own body
-            slaves = np.unique(self.points.facet[self.near_points[rows]])
-            orientation, key = facets.master.orientation[targets], facets.master.key[targets]
-            body = Facets(facets.kind, masters[targets], orientation, key)
-            deepest = max(deepest, deepest_overlap(centers[slaves], body))
-        return deepest
 
     def penetrating_nodes(self, pairs: Pairs, position: Array, depth: float) -> PenetratingNodes:
         """Nodes of the facets with points in contact or nearly so that lie inside the other body.

@@ -119,6 +119,9 @@ class Facets:
     def __len__(self) -> int:
         return len(self.nodes)
 
+    def __getitem__(self, rows: NDArray) -> Facets:
+        return Facets(self.kind, self.nodes[rows], self.orientation[rows], self.key[rows])
+
 
 class FacetMaps:
     """Maps of facets with nodes (m, n, d) as polynomials, each evaluated at one point."""
