@@ -67,7 +67,7 @@ def _unknowns(model: Model) -> str:
 
 def _law(model: Model) -> str:
     kinds = []
-    if any(m.piezo.any() for m in model.materials):
+    if any(m.is_piezoelectric for m in model.materials):
         kinds.append("piezoelectric")
     elif model.electric:
         kinds.append("elastic and dielectric, not coupled")

@@ -1,13 +1,14 @@
-"""Enthalpy of the bodies: one density of coupled piezoelectricity, its residual, tangent and stored energies.
+"""Enthalpy of the bodies: the sum over their material laws, its residual, tangent and stored energies.
 
 The unknown w has the components u_1 .. u_dim and, with a potential, psi = phi / potential_scale. With
-s = (strain in Voigt order, electric field) and the matrix M of `piezomat.forms.materials`,
+s = (strain in Voigt order, electric field) and the density H of each body's law (`piezomat.forms.constitutive`), which
+is 1/2 s.M.s for the linear law of `piezomat.forms.materials`,
 
-    Pi(w) = int 1/2 s.M.s dV - int t.u dA + int q phi dA,      E = -grad(phi).
+    Pi(w) = int H(s) dV - int t.u dA + int q phi dA,      E = -grad(phi).
 
 Small kinematics: S = sym(grad u). Finite: the Green-Lagrange strain and the referential field E = -Grad(phi), a total
 Lagrangian description in which T is the second Piola-Kirchhoff stress. The material enters only as numbers of each
-cell: every scene with the same cell, order, kinematics and fields uses the same compiled forms.
+cell: every scene with the same cell, order, kinematics, fields and laws uses the same compiled forms.
 
 The derivative of Pi by psi is potential_scale times that by phi: the free charge on a boundary (-D.n dA) is minus the
 sum of the internal residual's psi entries there, divided by potential_scale.
@@ -16,6 +17,7 @@ sum of the internal residual's psi entries there, divided by potential_scale.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import dolfinx
@@ -24,50 +26,59 @@ import ufl
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array
-from piezomat.forms.kinematics import Kinematics, strain_and_field, strain_components
+from piezomat.forms.constitutive import ConstitutiveLaw, Plane
+from piezomat.forms.kinematics import Kinematics, strain_and_field
 
 
-def constitutive_field(
-    mesh: Any,
-    matrices: Sequence[Array],
-    cell_matrix: NDArray[np.int32],
-    potential_scale: float | None,
-) -> Any:
-    """Upper triangle, row by row, of each cell's enthalpy matrix as a blocked DG0 Function. Collective.
+@dataclass(frozen=True)
+class Region:
+    """The cells whose materials have one law.
 
-    15 components in 2D, 45 in 3D; without potential 6 or 21, the elastic block only.
-
-    matrices: of `Material.constitutive_matrix`, (5, 5) or (9, 9)
-    cell_matrix (local cells,): number of the matrix of each cell
-    potential_scale: V, multiplies rows and columns of the electric field; None without potential
+    law: of any of them
+    numbers: DG0 Function, `ConstitutiveLaw.numbers` of each cell's material
+    tags, tag: cell tags of the mesh, and which of them the cells have; None where they are all cells
     """
-    dim = mesh.geometry.dim
-    strains = strain_components(dim)
-    size = strains if potential_scale is None else strains + dim
-    scale = np.ones(size)
-    scale[strains:] = potential_scale or 1.0
-    rows, columns = np.triu_indices(size)
-    table = np.array([(scale[:, None] * m[:size, :size] * scale)[rows, columns] for m in matrices])
-    field = dolfinx.fem.Function(fenicsx.piecewise_constant(mesh, rows.size))
-    cells = fenicsx.dofmap(field.function_space)[: len(cell_matrix), 0]
-    field.x.array.reshape(-1, rows.size)[cells] = table[cell_matrix]
-    field.x.scatter_forward()
-    return field
+
+    law: ConstitutiveLaw
+    numbers: Any
+    tags: Any = None
+    tag: int | None = None
+
+    def measure(self, w: Any) -> Any:
+        """The `volume_measure` of these cells."""
+        return volume_measure(w) if self.tag is None else volume_measure(w)(self.tag, subdomain_data=self.tags)
 
 
-def symmetric_matrix(constitutive: Any, size: int) -> Any:
-    """UFL matrix M (size, size) of the cellwise `constitutive_field`. Raises ValueError if its size differs."""
-    if constitutive.ufl_shape != (size * (size + 1) // 2,):
-        raise ValueError(f"a matrix of {constitutive.ufl_shape[0]} entries does not fit a state of {size} components")
-    entry = {pair: constitutive[number] for number, pair in enumerate(zip(*np.triu_indices(size), strict=True))}
-    return ufl.as_matrix([[entry[min(i, j), max(i, j)] for j in range(size)] for i in range(size)])
+def regions(
+    mesh: Any,
+    materials: Sequence[ConstitutiveLaw],
+    cell_material: NDArray[np.int32],
+    plane: Plane,
+    potential_scale: float | None,
+) -> list[Region]:
+    """The regions of a mesh, one for each class of its materials. Collective.
 
-
-def enthalpy(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
-    """UFL density 1/2 s.M.s of w, pJ/um3, with the `constitutive_field`. Raises ValueError if their sizes differ."""
-    s = strain_and_field(w, kinematics)
-    return 0.5 * ufl.inner(s, symmetric_matrix(constitutive, len(s)) * s)
+    cell_material (local cells,): number of the material of each cell
+    potential_scale: V, of the potential unknown; None without potential
+    """
+    dim = mesh.topology.dim
+    classes = list(dict.fromkeys(type(material) for material in materials))
+    cell_class = np.array([classes.index(type(material)) for material in materials], np.int32)[cell_material]
+    cells = np.arange(len(cell_material), dtype=np.int32)
+    tags = dolfinx.mesh.meshtags(mesh, dim, cells, cell_class) if len(classes) > 1 else None
+    found = []
+    for tag, kind in enumerate(classes):
+        of_class = {i: m.numbers(dim, plane, potential_scale) for i, m in enumerate(materials) if type(m) is kind}
+        table = np.zeros((len(materials), len(next(iter(of_class.values())))))
+        for i, numbers in of_class.items():
+            table[i] = numbers
+        field = dolfinx.fem.Function(fenicsx.piecewise_constant(mesh, table.shape[1]))
+        places = fenicsx.dofmap(field.function_space)[: len(cell_material), 0]
+        field.x.array.reshape(-1, table.shape[1])[places] = table[cell_material]
+        field.x.scatter_forward()
+        law = next(material for material in materials if type(material) is kind)
+        found.append(Region(law, field) if tags is None else Region(law, field, tags, tag))
+    return found
 
 
 def volume_measure(w: Any) -> Any:
@@ -86,35 +97,39 @@ def volume_measure(w: Any) -> Any:
     return ufl.dx(domain=domain, degree=degree)
 
 
-def internal_form(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
-    """Residual F(w; v), the derivative of the enthalpy at w, with the test function v of w's space.
+def enthalpy(w: Any, regions: Sequence[Region], kinematics: Kinematics) -> Any:
+    """UFL functional of w, pJ (2D: per um of depth): the enthalpy density of each region, integrated."""
+    s = strain_and_field(w, kinematics)
+    return _sum([region.law.density(s, region.numbers) * region.measure(w) for region in regions])
 
-    Written as (M s).ds(v) with M symmetric: equal to ufl.derivative of 1/2 s.M.s, but the C code of its tangent is half
-    as long and compiles four times as fast.
-    """
+
+def internal_form(w: Any, regions: Sequence[Region], kinematics: Kinematics) -> Any:
+    """Residual F(w; v), the derivative of the enthalpy at w, with the test function v of w's space: dH/ds.ds(v)."""
     s = strain_and_field(w, kinematics)
     variation = ufl.derivative(s, w, ufl.TestFunction(w.function_space))
-    return ufl.inner(symmetric_matrix(constitutive, len(s)) * s, variation) * volume_measure(w)
+    return _sum([ufl.inner(r.law.gradient(s, r.numbers), variation) * r.measure(w) for r in regions])
 
 
-def tangent_form(w: Any, constitutive: Any, kinematics: Kinematics) -> Any:
-    """Symmetric bilinear form, the derivative of the residual; independent of w in small kinematics."""
-    return ufl.derivative(internal_form(w, constitutive, kinematics), w)
+def tangent_form(w: Any, regions: Sequence[Region], kinematics: Kinematics) -> Any:
+    """Symmetric bilinear form, the derivative of the residual; in small kinematics linear laws make it constant."""
+    return ufl.derivative(internal_form(w, regions, kinematics), w)
 
 
-def stored_energies(w: Any, constitutive: Any, kinematics: Kinematics) -> tuple[Any, Any | None]:
-    """UFL functionals of the elastic energy 1/2 S.C.S and the electric energy 1/2 E.eps.E (None without potential).
+def stored_energies(w: Any, regions: Sequence[Region], kinematics: Kinematics) -> tuple[Any, Any | None]:
+    """UFL functionals of the elastic and the electric energy (None without potential).
 
-    Their sum is the internal energy, pJ (2D: per um of depth): the piezoelectric terms of T.S and D.E cancel.
+    Their sum is the internal energy, pJ (2D: per um of depth).
     """
     s = strain_and_field(w, kinematics)
-    matrix = symmetric_matrix(constitutive, len(s))
-    dim = fenicsx.dimension(w)
-    strains = strain_components(dim)
+    densities = [region.law.stored_energies(s, region.numbers) for region in regions]
+    elastic, electric = zip(*densities, strict=True)
+    measures = [region.measure(w) for region in regions]
+    with_potential = [(e, dx) for e, dx in zip(electric, measures, strict=True) if e is not None]
+    return (
+        _sum([e * dx for e, dx in zip(elastic, measures, strict=True)]),
+        _sum([e * dx for e, dx in with_potential]) if with_potential else None,
+    )
 
-    def half_square(indices: range) -> Any:
-        return 0.5 * sum(matrix[i, j] * s[i] * s[j] for i in indices for j in indices) * volume_measure(w)
 
-    if len(s) == strains:
-        return half_square(range(strains)), None
-    return half_square(range(strains)), -half_square(range(strains, len(s)))
+def _sum(forms: Sequence[Any]) -> Any:
+    return sum(forms[1:], forms[0])

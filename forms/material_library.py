@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.materials import VACUUM_PERMITTIVITY, Material, piezo_matrix
 
 _GPA = 1e3  # in MPa
@@ -30,7 +31,8 @@ def transversely_isotropic(
     return Material(matrix, constants, np.diag([eps11, eps11, eps33]), source)
 
 
-BUILT_IN: dict[str, Material] = {
+# A material of another law is one more entry; its keys in a scene are its name alone.
+BUILT_IN: dict[str, ConstitutiveLaw] = {
     "pvdf": Material.isotropic(
         2500.0,
         0.3,

@@ -16,14 +16,14 @@ from piezomat.forms.evaluation import integral
 class Bulk:
     """The derivatives of the bodies' enthalpy at the state of a model. Every method is collective.
 
-    is_constant: whether the tangent is the same at any state (small kinematics); the residual is then tangent times
-        state, and has no form
+    is_constant: whether the tangent is the same at any state (small kinematics and linear laws); the residual is then
+        tangent times state, and has no form
     """
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self.is_constant = model.kinematics == "small"
-        arguments = model.trial_state, model.constitutive_field, model.kinematics
+        self.is_constant = model.kinematics == "small" and all(region.law.is_linear for region in model.regions)
+        arguments = model.trial_state, model.regions, model.kinematics
         self._tangent_form = dolfinx.fem.form(tangent_form(*arguments))
         self._residual_form = None if self.is_constant else dolfinx.fem.form(internal_form(*arguments))
         self._energy_forms = [None if e is None else dolfinx.fem.form(e) for e in stored_energies(*arguments)]

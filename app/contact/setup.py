@@ -17,9 +17,9 @@ from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
-from piezomat.forms.materials import Material
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
@@ -136,7 +136,7 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
     return passes, _pairs_of_bodies(model, planes)
 
 
-def kinds_of(materials: Sequence[Material]) -> list[int]:
+def kinds_of(materials: Sequence[ConstitutiveLaw]) -> list[int]:
     """Number of the kind of each material: those with equal mean stiffness and permittivity are of one kind.
 
     A rotation changes both by rounding alone.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from piezomat.forms.materials import Material
+from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.gmsh_io.mesh_file import KEY, MeshFile
 from piezomat.meshes.gmsh_io.model import GEOMETRY
@@ -19,7 +19,7 @@ from piezomat.scene.sections import Boundary
 LOCKING = 0.45
 
 
-def doubts(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> list[str]:
+def doubts(scene: Scene, bodies: BodyMesh, materials: list[ConstitutiveLaw]) -> list[str]:
     """What of a scene and its mesh may not be meant, one sentence each. Collective.
 
     SceneError: a joint that cannot be meant, an electrode where nothing has a permittivity, boundaries that contradict
@@ -31,7 +31,7 @@ def doubts(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> list[st
     return [text for text in [*found, _locking(scene, bodies, materials), _level(scene)] if text is not None]
 
 
-def _check_electrodes(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> None:
+def _check_electrodes(scene: Scene, bodies: BodyMesh, materials: list[ConstitutiveLaw]) -> None:
     """Raise SceneError for a potential or a charge on facets of bodies without permittivity alone."""
     mesh = bodies.mesh
     mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
@@ -105,7 +105,7 @@ def _key(scene: Scene) -> str:
     return KEY if isinstance(scene.geometry, MeshFile) else GEOMETRY
 
 
-def _locking(scene: Scene, bodies: BodyMesh, materials: list[Material]) -> str | None:
+def _locking(scene: Scene, bodies: BodyMesh, materials: list[ConstitutiveLaw]) -> str | None:
     """Bodies that linear elements make too stiff; in plane stress they change their thickness instead."""
     if bodies.order > 1 or (scene.dimension == 2 and scene.model.plane == "stress"):
         return None

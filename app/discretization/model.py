@@ -15,8 +15,8 @@ from piezomat.discretization.loads import Loads
 from piezomat.discretization.prescription import Prescription
 from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
-from piezomat.forms.enthalpy import constitutive_field
-from piezomat.forms.materials import Material
+from piezomat.forms.constitutive import ConstitutiveLaw
+from piezomat.forms.enthalpy import regions
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.scene.scene import Scene
 
@@ -40,7 +40,7 @@ class Model:
     prescription: largest motion and voltage that boundaries and planes prescribe
     loads: tractions, pressures and charges
     unconstrained (parts, 2): whether no boundary constrains the rigid-body modes of a part, and its mean potential
-    constitutive_field: DG0 Function, enthalpy matrix of each cell
+    regions: the cells of each material law
     trial_state: Function at which forms are evaluated, see `set_trial_state`; the solution is `Problem.solution`
     """
 
@@ -53,7 +53,7 @@ class Model:
         self.dim: int = self.mesh.geometry.dim
         self.kinematics = scene.model.kinematics
         self.plane = scene.model.plane
-        self.materials: list[Material] = [scene.material(name) for name in bodies.bodies]
+        self.materials: list[ConstitutiveLaw] = [scene.material(name) for name in bodies.bodies]
         self.warnings = doubts(scene, bodies, self.materials)
         self.electric = any(m.electric for m in self.materials)
         self.stiffness = max(m.mean_stiffness for m in self.materials)
@@ -65,12 +65,7 @@ class Model:
         self.trial_state = dolfinx.fem.Function(self.unknowns.space)
         self._layout = self.unknowns.empty_vector(self.comm)
         self._ghosted = self.unknowns.ghosted_vector(self.comm)
-        self.constitutive_field = constitutive_field(
-            self.mesh,
-            [m.constitutive_matrix(self.dim, self.plane) for m in self.materials],
-            bodies.cell_body,
-            self.potential_scale,
-        )
+        self.regions = regions(self.mesh, self.materials, bodies.cell_body, self.plane, self.potential_scale)
         has_permittivity = np.array([m.electric for m in self.materials])
         dielectric = self.unknowns.touched(has_permittivity[bodies.cell_body])
         self.parts = parts_of(bodies, self.unknowns)

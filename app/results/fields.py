@@ -13,7 +13,8 @@ from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.evaluation import center_expression
-from piezomat.forms.kinematics import deformation_gradient, push_forward, strain_and_field
+from piezomat.forms.kinematics import deformation_gradient, push_forward
+from piezomat.forms.response import CenterResponse
 from piezomat.results.vtk import ContactPoints, FieldPiece, grid
 
 
@@ -30,8 +31,8 @@ class FieldOutput:
         nodes, geometry = fenicsx.dofmap(model.unknowns.space), fenicsx.geometry_dofmap(model.mesh)
         self._node = np.zeros(len(self._grid.points), np.int64)
         self._node[geometry] = nodes
-        state = strain_and_field(model.trial_state, model.kinematics)
-        self._state = center_expression(state, model.mesh)
+        arguments = model.regions, model.materials, model.bodies.cell_body, model.kinematics, model.plane
+        self._response = CenterResponse(model.trial_state, *arguments, model.potential_scale)
         self._gradient: Any = None
         if model.kinematics == "finite":
             gradient = ufl.grad(model.trial_state)
@@ -43,18 +44,8 @@ class FieldOutput:
         model, solution = self.problem.model, self.problem.solution()
         values = solution.x.array.reshape(-1, model.unknowns.block)[self._node]
         cells = len(self._grid.cells)
-        state = fenicsx.at_centers(self._state, model.mesh)
-        strains = model.dim * (model.dim + 1) // 2
-        strain, stress = np.zeros((cells, 6)), np.zeros((cells, 6))
-        field, density = np.zeros((cells, 3)), np.zeros((cells, 3))
-        potential = None
-        if model.electric:
-            potential = model.potential_scale * values[:, model.dim]
-            field[:, : model.dim] = model.potential_scale * state[:, strains:]
-        for number, material in enumerate(model.materials):
-            rows = model.bodies.cell_body == number
-            response = material.response(state[rows, :strains], field[rows, : model.dim], model.dim, model.plane)
-            strain[rows], stress[rows], density[rows] = response
+        (strain, stress, density), field = self._response.evaluate()
+        potential = model.potential_scale * values[:, model.dim] if model.electric else None
         if self._gradient is not None:
             gradient = fenicsx.at_centers(self._gradient, model.mesh).reshape(cells, model.dim, model.dim)
             f = deformation_gradient(gradient, strain[:, 2])

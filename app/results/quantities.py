@@ -1,7 +1,8 @@
 """The columns of the history, each listed once: name, unit, meaning, value.
 
 `GROUPS` has them in the order of the columns. To add a column, add a `Quantity` to the group of its place; its value is
-computed from the record of that group (a reaction, the totals of a plane or of a pair, the energies, ...).
+computed from the record of that group (a reaction, the totals of a plane or of a pair, the energies, ...). A script can
+append it before the run, such as to `WHOLE`, whose record is the `ConvergedStep`.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class Group:
     symbol: str
     places: Callable[[Problem], Sequence[str]]
     records: Callable[[ConvergedStep], Sequence[Any]]
-    quantities: tuple[Quantity, ...]
+    quantities: list[Quantity]
 
     def columns(self, model: Model, place: str) -> list[str]:
         """Names of the columns of a place."""
@@ -144,22 +145,22 @@ STEP = Group(
     "",
     _one_place,
     lambda at: [at.step],
-    (
+    [
         Quantity("step", "", "number of the load step, from 1", attrgetter("number")),
         Quantity("stage", "", "number of the stage that the step belongs to, from 1", attrgetter("stage")),
-    ),
+    ],
 )
 FACTOR = Group(
     "NAME",
     lambda problem: list(problem.model.scene.load.factors),
     lambda at: [at.step.after[name] for name in at.problem.model.scene.load.factors],
-    (Quantity("factor:{place}", "", "value of a load factor", lambda value: value),),
+    [Quantity("factor:{place}", "", "value of a load factor", lambda value: value)],
 )
 BOUNDARY = Group(
     "B",
     lambda problem: list(problem.model.constraints.groups),
     _reactions,
-    (
+    [
         Quantity(
             "force_{axis}@{place}",
             "uN",
@@ -175,13 +176,13 @@ BOUNDARY = Group(
             attrgetter("mean_potential"),
             _electric,
         ),
-    ),
+    ],
 )
 PLANE = Group(
     "P",
     lambda problem: [plane.name for plane in problem.model.scene.planes],
     _planes,
-    (
+    [
         Quantity("force_{axis}@{place}", "uN", "force that the plane exerts on the bodies", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area that touches the plane", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
@@ -200,22 +201,22 @@ PLANE = Group(
             attrgetter("potential"),
             _electric,
         ),
-    ),
+    ],
 )
 ELECTRODE = Group(
     "E",
     lambda problem: problem.model.electrode_names,
     lambda at: electrode_states(at.problem),
-    (
+    [
         Quantity("voltage@{place}", "V", "potential of an electrode", attrgetter("voltage")),
         Quantity("charge@{place}", "pC", "free charge on an electrode", attrgetter("charge")),
-    ),
+    ],
 )
 PAIR = Group(
     "C",
     lambda problem: list(_listed_pairs(problem).values()),
     _pairs,
-    (
+    [
         Quantity("contact_force_{axis}@{place}", "uN", "force on the first body of the pair", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area where the gap is closed", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
@@ -234,13 +235,13 @@ PAIR = Group(
             _electric,
         ),
         Quantity("bonded_area@{place}", "um2", "area where adhesion has not broken", attrgetter("bonded_area")),
-    ),
+    ],
 )
 ENERGY = Group(
     "",
     _one_place,
     _energies,
-    (
+    [
         Quantity("elastic", "pJ", "stored elastic energy of the bodies", itemgetter("elastic")),
         Quantity("electric", "pJ", "stored electric energy of bodies and contact", itemgetter("electric")),
         Quantity("contact", "pJ", "energy of the contact penalty", itemgetter("contact")),
@@ -253,20 +254,21 @@ ENERGY = Group(
         ),
         Quantity("external_work", "pJ", "work done from outside", itemgetter("external_work")),
         Quantity("dissipated", "pJ", "energy of broken bonds", itemgetter("dissipated")),
-    ),
+    ],
 )
 # After all that contact's last evaluation holds: this evaluates it anew.
 CAPACITANCE = Group(
     "",
     lambda problem: [""] if len(problem.model.constraints.electrodes) == 2 else [],
     lambda at: [at.capacitance()] if len(at.problem.model.constraints.electrodes) == 2 else [],
-    (Quantity("capacitance", "pC/V", "between the electrodes, of a scene with two", between),),
+    [Quantity("capacitance", "pC/V", "between the electrodes, of a scene with two", between)],
 )
-EFFORT = Group(
+# Of the whole step: its effort, and what a user's script appends.
+WHOLE = Group(
     "",
     _one_place,
     lambda at: [at],
-    (
+    [
         Quantity("newton", "", "Newton iterations", attrgetter("report.newton")),
         Quantity("linear_solves", "", "linear solves with the tangent", attrgetter("report.linear_solves")),
         Quantity("krylov", "", "Krylov iterations, a direct solve counted as one", attrgetter("report.krylov")),
@@ -279,9 +281,9 @@ EFFORT = Group(
             attrgetter("report.augmentations"),
             augments,
         ),
-    ),
+    ],
 )
-GROUPS = (STEP, FACTOR, BOUNDARY, PLANE, ELECTRODE, PAIR, ENERGY, CAPACITANCE, EFFORT)
+GROUPS = (STEP, FACTOR, BOUNDARY, PLANE, ELECTRODE, PAIR, ENERGY, CAPACITANCE, WHOLE)
 
 
 def columns(problem: Problem) -> list[str]:

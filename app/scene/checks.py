@@ -53,6 +53,10 @@ def mesh(scene: SceneData) -> None:
             raise unknown_name(f"mesh.size_factors.{body}", body, "a body of the geometry", scene.body_names)
     if scene.dimension == 3 and scene.model.plane == "stress":
         raise SceneError("model.plane", '"stress"', 'nothing but "strain" in three dimensions')
+    for body in scene.body_names if scene.model.plane == "stress" else ():
+        if not scene.material(body).has_plane_stress:
+            allowed = f'"strain": the law of the material of {body} has no plane stress'
+            raise SceneError("model.plane", '"stress"', allowed)
 
 
 def gap(scene: SceneData) -> None:

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Union
 
 from pydantic import Discriminator, Field, PrivateAttr, Tag
 
+from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.material_library import BUILT_IN
-from piezomat.forms.materials import Material
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile, read_groups
 from piezomat.meshes.gmsh_io.model import MeshError
-from piezomat.meshes.shapes import MeshSizes, Shapes
+from piezomat.meshes.shapes import MeshSizes, catalogue
 from piezomat.scene.errors import SceneError, mesh_error, shown
 from piezomat.scene.keys import Keys, Name
 from piezomat.scene.material_keys import MaterialKeys
@@ -57,6 +57,7 @@ def _branch(geometry: Any) -> str:
     return "mesh file" if file else "built shape"
 
 
+Shapes = Annotated[Union[tuple(catalogue())], Field(discriminator="shape")]  # noqa: UP007 - of a list
 Geometry = Annotated[
     Annotated[Shapes, Tag("built shape")] | Annotated[MeshFile, Tag("mesh file")], Discriminator(_branch)
 ]
@@ -102,7 +103,7 @@ class SceneData(Keys):
     @property
     def electric(self) -> bool:
         """Whether any body carries a potential."""
-        return any(self.oriented(name).permittivity is not None for name in set(self.bodies.values()))
+        return any(self.oriented(name).electric for name in set(self.bodies.values()))
 
     @property
     def potentials(self) -> list[float]:
@@ -127,11 +128,11 @@ class SceneData(Keys):
         kinds = self.facet_groups, self.body_names, [plane.name for plane in self.planes]
         return Members(*(tuple(n for n in names if key_of(n, electrode.on) is not None) for names in kinds))
 
-    def material(self, body: str) -> Material:
+    def material(self, body: str) -> ConstitutiveLaw:
         """The material of a body in global axes."""
         return self.oriented(self.bodies[key_of(body, self.bodies)])
 
-    def oriented(self, name: str) -> Material:
+    def oriented(self, name: str) -> ConstitutiveLaw:
         """A material of the scene, or else a built-in one, with its axes along poling (3) and axis1."""
         keys = self.materials.get(name)
         material = keys.unrotated() if keys is not None else BUILT_IN[name]
@@ -145,8 +146,8 @@ class SceneData(Keys):
         keys = self.materials.get(name)
         if keys is not None and keys.poling is not None:
             return keys.poling
-        piezo = (keys.unrotated() if keys is not None else BUILT_IN[name]).piezo
-        matters = piezo.any() or (keys is not None and keys.axis1 is not None)
+        poled = (keys.unrotated() if keys is not None else BUILT_IN[name]).is_piezoelectric
+        matters = poled or (keys is not None and keys.axis1 is not None)
         return ([0.0, 1.0] if self.dimension == 2 else [0.0, 0.0, 1.0]) if matters else None
 
 

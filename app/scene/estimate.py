@@ -18,7 +18,7 @@ from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes.blocks import Cantilever, StackedBlocks
 from piezomat.meshes.shapes.fiber_array import FiberArray
-from piezomat.meshes.shapes.fibers import CrossedFibers, FiberOnBlock, ParallelFibers
+from piezomat.meshes.shapes.fibers import CrossedFibers, FacingHalves, FiberOnBlock, ParallelFibers
 from piezomat.meshes.shapes.mats import CrossPly, Fibers, Mat
 from piezomat.scene.errors import SceneError
 
@@ -108,6 +108,14 @@ def estimate(geometry: Any, mesh: Any) -> Size:
                 1.5 * min(geometry.width, geometry.depth), np.hypot(geometry.width, geometry.depth)
             )
             return _laid(_of_mat(geometry, length), geometry, length, fine, far, mesh)
+        case FacingHalves() | CrossedFibers() | FiberOnBlock():
+            return _two_fibers(geometry, fine, far, mesh)
+    cells = geometry.measure() / far**geometry.dimension / _share(geometry.dimension, mesh)
+    return Size(len(geometry.bodies()), cells=float(cells))
+
+
+def _two_fibers(geometry: Any, fine: Any, far: Any, mesh: Any) -> Size:
+    """Two fibers, or one on a block."""
     length = getattr(geometry, "length", None)
     crossed = isinstance(geometry, CrossedFibers)
     cells = 2.0 * _round(geometry.radius, length, 1.0, fine, far, mesh, POINT if crossed else LINE, crossed)

@@ -51,8 +51,9 @@ class MaterialKeys(Keys):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        if self.like is not None and self.like not in BUILT_IN:
-            raise unknown_name("like", self.like, "a built-in material", list(BUILT_IN))
+        linear = [name for name, law in BUILT_IN.items() if isinstance(law, Material)]
+        if self.like is not None and self.like not in linear:
+            raise unknown_name("like", self.like, "a built-in material", linear)
         if self.stiffness is not None and (self.young is not None or self.poisson is not None):
             raise SceneError(
                 "stiffness", "both stiffness and young or poisson", "either stiffness or young and poisson"

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
-from piezomat.meshes.shapes import Shape, Shapes
+from piezomat.meshes.shapes import Shape
+from piezomat.scene.data import Shapes
 from piezomat.scene.errors import shown
 from piezomat.scene.json_schema import branches, describe, resolved
 from piezomat.scene.scene import schema

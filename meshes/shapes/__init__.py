@@ -1,10 +1,6 @@
-"""Every shape that can be built, as one type chosen by its key `shape`."""
+"""The catalogue of shapes: a class that is imported here, or defined before a scene is first used, is in it."""
 
 from __future__ import annotations
-
-from typing import Annotated
-
-from pydantic import Field
 
 from piezomat.meshes.builders.sizes import MeshSizes
 from piezomat.meshes.shapes.base import Shape
@@ -12,20 +8,6 @@ from piezomat.meshes.shapes.blocks import Cantilever, StackedBlocks
 from piezomat.meshes.shapes.fiber_array import FiberArray
 from piezomat.meshes.shapes.fibers import CrossedFibers, FacingHalves, FiberOnBlock, ParallelFibers
 from piezomat.meshes.shapes.mats import CrossPly, Fibers, Mat
-
-Shapes = Annotated[
-    FacingHalves
-    | CrossedFibers
-    | ParallelFibers
-    | FiberOnBlock
-    | StackedBlocks
-    | Cantilever
-    | FiberArray
-    | CrossPly
-    | Mat
-    | Fibers,
-    Field(discriminator="shape"),
-]
 
 __all__ = [
     "Cantilever",
@@ -39,6 +21,14 @@ __all__ = [
     "MeshSizes",
     "ParallelFibers",
     "Shape",
-    "Shapes",
     "StackedBlocks",
+    "catalogue",
 ]
+
+
+def catalogue(base: type[Shape] = Shape) -> list[type[Shape]]:
+    """Every shape that has been defined so far, by its key `shape`, in the order of definition."""
+    found = []
+    for kind in base.__subclasses__():
+        found += [kind] * ("shape" in kind.model_fields) + catalogue(kind)
+    return found

@@ -8,7 +8,10 @@ from piezomat.meshes.builders.sizes import MeshSizes
 
 
 class Shape(BaseModel):
-    """Geometry with named bodies and facet groups, known before it is meshed. Lengths in um."""
+    """Geometry with named bodies and facet groups, known before it is meshed. Lengths in um.
+
+    A shape for scenes has a field `shape`, the Literal of its name.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -28,6 +31,10 @@ class Shape(BaseModel):
     def size(self) -> float:
         """Least extent of the smallest body (um)."""
         raise NotImplementedError
+
+    def measure(self) -> float:
+        """Area or volume (um2, um3) of all bodies, about: the number of cells is estimated from it."""
+        return len(self.bodies()) * self.size() ** self.dimension
 
     def build(self, sizes: MeshSizes) -> None:
         """Draw and mesh into the current gmsh model, with the bodies and facet groups as physical groups."""

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.enthalpy import constitutive_field, enthalpy, internal_form, tangent_form, volume_measure
+from piezomat.forms.enthalpy import enthalpy, internal_form, regions, tangent_form, volume_measure
 from piezomat.forms.kinematics import strain_and_field
 from piezomat.forms.loads import Load, boundary_loads, load_tangent
 from piezomat.forms.material_library import BUILT_IN
@@ -52,12 +52,12 @@ class Body:
         self.mesh = unit_mesh(comm, cell, order, 2, shaken(2, order))
         self.space = fenicsx.lagrange(self.mesh, order, self.dim + electric)
         self.w = dolfinx.fem.Function(self.space)
-        laws = [BUILT_IN[name].rotated([1, 2, 0.5]).constitutive_matrix(self.dim) for name in names]
-        cells = fenicsx.original_cells(self.mesh) % len(laws)
+        materials = [BUILT_IN[name].rotated([1, 2, 0.5]) for name in names]
+        cells = fenicsx.original_cells(self.mesh) % len(materials)
         self.scale = SCALE if electric else None
-        self.law = constitutive_field(self.mesh, laws, cells.astype(np.int32), self.scale)
+        self.law = regions(self.mesh, materials, cells.astype(np.int32), "strain", self.scale)
         self.residual = internal_form(self.w, self.law, kinematics)
-        self.density = dolfinx.fem.form(enthalpy(self.w, self.law, kinematics) * volume_measure(self.w))
+        self.density = dolfinx.fem.form(enthalpy(self.w, self.law, kinematics))
 
     def set(self, values: Array) -> None:
         self.w.x.array[:] = values
@@ -183,12 +183,13 @@ def test_law_field_holds_the_scaled_upper_triangle_of_each_cell(comm: MPI.Comm) 
     for cell, size in (("quadrilateral", 5), ("tetrahedron", 9)):
         mesh = unit_mesh(comm, cell, 1, 3)
         dim = DIMENSION[cell]
-        laws = [BUILT_IN[name].rotated([1, 2, 3]).constitutive_matrix(dim) for name in ("pzt4", "elastic", "pvdf")]
+        materials = [BUILT_IN[name].rotated([1, 2, 3]) for name in ("pzt4", "elastic", "pvdf")]
+        laws = [material.constitutive_matrix(dim) for material in materials]
         cells = (fenicsx.original_cells(mesh) % 3).astype(np.int32)
         ones = np.ones(size)
         ones[-dim:] = 7.0
         for scale, kept in ((7.0, size), (None, size - dim)):
-            law = constitutive_field(mesh, laws, cells, scale)
+            law = regions(mesh, materials, cells, "strain", scale)[0].numbers
             assert law.function_space.dofmap.index_map_bs == kept * (kept + 1) // 2
             entries = law.x.array.reshape(-1, kept * (kept + 1) // 2)[fenicsx.dofmap(law.function_space)[:, 0]]
             weights = (ones if scale else ones * 0 + 1)[:kept]
@@ -199,8 +200,8 @@ def test_law_field_holds_the_scaled_upper_triangle_of_each_cell(comm: MPI.Comm) 
 
 def test_what_does_not_fit_is_refused(comm: MPI.Comm) -> None:
     body = Body(comm, "triangle", 1, "small")
-    cells = np.zeros(len(body.law.x.array) // 15, np.int32)
-    elastic = constitutive_field(body.mesh, [BUILT_IN["elastic"].constitutive_matrix(2)], cells, None)
+    cells = np.zeros(len(body.law[0].numbers.x.array) // 15, np.int32)
+    elastic = regions(body.mesh, [BUILT_IN["elastic"]], cells, "strain", None)
     with pytest.raises(ValueError, match="a matrix of 6 entries does not fit a state of 5 components"):
         enthalpy(body.w, elastic, "small")
     with pytest.raises(ValueError, match='kinematics must be "small" or "finite", not "large"'):

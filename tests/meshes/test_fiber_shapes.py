@@ -16,10 +16,11 @@ from piezomat.meshes.builders.centre_lines import Face, Fiber, crossings, segmen
 from piezomat.meshes.builders.sizes import MeshSizes
 from piezomat.meshes.gmsh_io.extract import Arrays
 from piezomat.meshes.gmsh_io.model import MeshError
-from piezomat.meshes.shapes import CrossPly, FiberArray, Fibers, Mat, Shapes
+from piezomat.meshes.shapes import CrossPly, FiberArray, Fibers, Mat
 from piezomat.meshes.shapes.deposition import Bed
 from piezomat.meshes.shapes.fiber_shape import FiberShape
 from piezomat.scene import Scene, SceneError
+from piezomat.scene.data import Shapes
 
 KINDS = [("simplex", 1), ("simplex", 2), ("tensor", 1), ("tensor", 2)]
 SMALL = {"width": 6.0, "depth": 6.0, "count": 6}

@@ -25,9 +25,9 @@ from piezomat.meshes.shapes import (
     MeshSizes,
     ParallelFibers,
     Shape,
-    Shapes,
     StackedBlocks,
 )
+from piezomat.scene.data import Shapes
 
 PI = np.pi
 R = 0.5

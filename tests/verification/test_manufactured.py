@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.enthalpy import constitutive_field, internal_form, tangent_form
+from piezomat.forms.enthalpy import internal_form, regions, tangent_form
 from piezomat.forms.material_library import BUILT_IN
 from tests.bulk import DIMENSION, boundary, integral, newton_step, nodes, unit_mesh
 
@@ -54,7 +54,7 @@ def errors(comm: MPI.Comm, cell: str, order: int, divisions: int, plane: Any) ->
     material = BUILT_IN["pzt5h"].rotated([1, 2, 0] if dim == 2 else [1, 2, -1.5])
     scale = float(np.sqrt(material.stiffness[2, 2] / material.permittivity[2, 2]))
     cells = np.zeros(mesh.topology.index_map(dim).size_local, np.int32)
-    law = constitutive_field(mesh, [material.constitutive_matrix(dim, plane)], cells, scale)
+    law = regions(mesh, [material], cells, plane, scale)
 
     scaled = material.constitutive_matrix(dim, plane)
     scaled[-dim:] *= scale

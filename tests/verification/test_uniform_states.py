@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
-from piezomat.forms.enthalpy import constitutive_field, internal_form, tangent_form
+from piezomat.forms.enthalpy import Region, internal_form, regions, tangent_form
 from piezomat.forms.loads import Load, boundary_loads
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material
@@ -43,9 +43,9 @@ class Block:
         self.mesh = unit_mesh(comm, cell, order, divisions, shaken(divisions, order))
         self.space = fenicsx.lagrange(self.mesh, order, self.dim + 1)
         self.w = dolfinx.fem.Function(self.space)
-        self.law = self.law_of(np.zeros((4 * self.dim - 3, 4 * self.dim - 3)), 1.0)
-        self.residual = internal_form(self.w, self.law, kinematics)
-        self.tangent = tangent_form(self.w, self.law, kinematics)
+        self.law = self.law_of(BUILT_IN["pvdf"], "strain", 1.0)
+        self.residual = internal_form(self.w, [self.law], kinematics)
+        self.tangent = tangent_form(self.w, [self.law], kinematics)
         self.pressure = dolfinx.fem.Constant(self.mesh, 0.0)
         last = self.dim - 1
         ds = facet_measure(self.mesh, [(last, 0.0), (last, 1.0)])
@@ -53,15 +53,15 @@ class Block:
         self.loads = boundary_loads(ufl.TestFunction(self.space), self.w, ds, loads, kinematics, 1.0)
         self.x, self.owned = nodes(self.space)
 
-    def law_of(self, matrix: Array, scale: float) -> Any:
+    def law_of(self, material: Material, plane: Any, scale: float) -> Region:
         cells = self.mesh.topology.index_map(self.dim).size_local
-        return constitutive_field(self.mesh, [matrix], np.zeros(cells, np.int32), scale)
+        return regions(self.mesh, [material], np.zeros(cells, np.int32), plane, scale)[0]
 
     def fill(self, material: Material, plane: Any) -> tuple[Array, float]:
         """Give all cells a material; its law and the potential's scale."""
         matrix = material.constitutive_matrix(self.dim, plane)
         scale = float(np.sqrt(material.stiffness[2, 2] / material.permittivity[2, 2]))
-        self.law.x.array[:] = self.law_of(matrix, scale).x.array
+        self.law.numbers.x.array[:] = self.law_of(material, plane, scale).numbers.x.array
         return matrix, scale
 
     def linear(self, gradient: Array) -> Array:
