@@ -1,18 +1,22 @@
 """piezomat: electromechanics of piezoelectric fibers in adhesive contact.
 
-    from mpi4py import MPI
-    import piezomat
+    import piezomat as pz
 
-    scene = piezomat.Scene.load("fibers_2d", ["load.steps=[4, 4]"])
-    history = piezomat.run(scene, MPI.COMM_WORLD).history
+    r = pz.run("fibers_2d", {"load.steps": [4, 4]}, quiet=True)
+    r.frame(), r.grid(4), r.contact(4), r.plot("force_y@top"), r.summary
 
-A name is imported when it is first used, so `import piezomat` takes no time and loads neither DOLFINx nor gmsh.
+A name is imported when it is first used, so `import piezomat` takes no time and loads neither DOLFINx nor gmsh. BLAS
+works on one thread unless OMP_NUM_THREADS or OPENBLAS_NUM_THREADS says otherwise.
 """
 
 from importlib import import_module
 from typing import Any
 
+from piezomat.environment import one_blas_thread
+
 __version__ = "0.1.0"
+
+one_blas_thread()
 
 # Public names and the modules that define them.
 _MODULES = {
@@ -21,12 +25,14 @@ _MODULES = {
     "Scene": "piezomat.scene",
     "SceneError": "piezomat.scene",
     "schema": "piezomat.scene",
-    "Run": "piezomat.simulation",
     "NotConverged": "piezomat.simulation",
     "Interrupted": "piezomat.simulation",
-    "run": "piezomat.simulation",
     "plan": "piezomat.simulation",
     "view": "piezomat.pictures.picture",
+    "Result": "piezomat.api.result",
+    "run": "piezomat.api.runs",
+    "open": "piezomat.api.runs",
+    "sweep": "piezomat.api.sweep",
 }
 
 __all__ = ["__version__", *_MODULES]

@@ -6,6 +6,7 @@ working folder is gone or an argument is no text. This module imports nothing bu
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 import tempfile
@@ -34,6 +35,27 @@ def prepare(arguments: Sequence[str]) -> str | None:
         if len(os.fsencode(argument)) > 100_000:
             return f"{argument[:40]}...: found an argument of {len(argument)} characters; allowed: at most 100,000"
     return hidden_packages()
+
+
+def one_blas_thread() -> None:
+    """Let BLAS work on one thread, unless the user has said how many: ranks and runs are what goes on in parallel.
+
+    A loaded OpenBLAS is told so itself, since it has read the environment already.
+    """
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    if any(os.environ.get(name) for name in names):
+        return
+    for name in names:
+        os.environ[name] = "1"
+    try:
+        maps = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return
+    for library in sorted({line.split(maxsplit=5)[5] for line in maps.splitlines() if "openblas" in line}):
+        try:
+            ctypes.CDLL(library).openblas_set_num_threads(1)
+        except (OSError, AttributeError):  # gone, or its symbols have names of their own
+            continue
 
 
 def hidden_packages() -> str | None:
@@ -95,3 +117,20 @@ def _open_streams() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))
+
+
+def for_mpirun() -> dict[str, str]:
+    """The environment in which this process starts mpirun: not taken for a rank of its own, more ranks than cores."""
+    launchers = ("OMPI_", "PMI", "PRTE_", "SLURM_")
+    bare = {name: value for name, value in os.environ.items() if not name.startswith(launchers)}
+    root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"} if os.geteuid() == 0 else {}
+    return (
+        bare
+        | root
+        | {
+            "OMPI_MCA_rmaps_base_oversubscribe": "1",
+            "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+            "OMPI_MCA_orte_execute_quiet": "1",
+            "OMPI_MCA_btl": "^tcp",
+        }
+    )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from time import monotonic
@@ -16,6 +17,8 @@ from mpi4py import MPI
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
+
+from piezomat.results.log_file import is_passed_on
 
 log = logging.getLogger("piezomat")
 
@@ -29,17 +32,22 @@ def ignore_broken_pipes() -> None:
 
 
 class Progress:
-    """Context in which load steps are reported as they converge."""
+    """Context in which load steps are reported as they converge. quiet: to the log alone.
 
-    def __init__(self, comm: MPI.Comm, title: str, total: int, done: int) -> None:
+    warnings: the doubts about the results that were reported.
+    """
+
+    def __init__(self, comm: MPI.Comm, title: str, total: int, done: int, *, quiet: bool = False) -> None:
+        self.warnings: list[str] = []
         self._rank = comm.rank
+        self._quiet = quiet
         self._many = comm.size > 1  # mpirun shows every program a terminal, a batch job's log too
         self._title, self._total, self._done = title, total, done
         self._bar: Bar | None = None
         self._start_waiting()
 
     def __enter__(self) -> Progress:
-        if self._rank == 0:
+        if self._rank == 0 and not self._quiet:
             ignore_broken_pipes()
             self._attempt(self._start)
         return self
@@ -56,6 +64,12 @@ class Progress:
         cut = f", cut {row['cutbacks']} times" if row["cutbacks"] else ""
         effort = f"{row['newton']} iterations, {row['linear_solves']} linear solves{cut}"
         line = f"step {row['step']:3d}/{self._total}  {factors}  {effort}  {row['seconds']:.2f} s"
+        self.done(line)
+
+    def done(self, line: str) -> None:
+        """Report in one line that one of the `total` is done."""
+        if self._rank != 0:
+            return
         self._attempt(lambda: self._print(line))
         self._start_waiting()
         log.info("%s", line)
@@ -68,10 +82,14 @@ class Progress:
         self._next = monotonic() + self._wait
 
     def warn(self, text: str) -> None:
-        """Report a doubt about the results, one sentence."""
+        """Report a doubt about the results, one sentence, once."""
+        if text in self.warnings:
+            return
+        self.warnings.append(text)
         if self._rank != 0:
             return
-        self._attempt(lambda: self._print(f"warning: {text}", advance=0))
+        if not _prints(log):
+            self._attempt(lambda: self._print(f"warning: {text}", advance=0))
         log.warning("%s", text)
 
     def _start(self) -> None:
@@ -106,6 +124,18 @@ class Progress:
         except (OSError, ValueError, AttributeError) as error:  # gone or full; closed by Python; never opened
             self._bar = None
             log.warning("no more progress on the terminal: %s", error)
+
+
+def _prints(logger: logging.Logger | None) -> bool:
+    """Whether logging itself shows the warnings of a logger on the terminal, as it does in a program of its own."""
+    heard = False
+    while logger is not None:
+        for handler in logger.handlers:
+            heard = True
+            if getattr(handler, "stream", None) in (sys.stderr, sys.stdout) and handler.level <= logging.WARNING:
+                return True
+        logger = logger.parent if logger.propagate or is_passed_on(logger) else None
+    return not heard  # by the handler of last resort
 
 
 class _Console(Console):

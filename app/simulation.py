@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import shlex
 import sys
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
@@ -35,9 +36,9 @@ from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import OutputError, Results
 from piezomat.results.folder import CHECKPOINT, MESH, RunFolder
 from piezomat.results.quantities import columns, pair_columns, pair_rows, row
-from piezomat.results.ranks import described, load_per_rank
 from piezomat.results.run_mesh import mesh_of_run
 from piezomat.results.run_scene import text_of
+from piezomat.results.summary import summary, summary_values
 from piezomat.scene import Scene
 from piezomat.scene.errors import named
 from piezomat.solver.description import describe
@@ -58,16 +59,18 @@ class Interrupted(RuntimeError):
     """A signal has ended the run; the message says what is kept. Raised on all ranks."""
 
 
-@dataclass
+@dataclass(repr=False)
 class Run:
     """A finished run.
 
     history: a row for each load step, by column. capacitance: matrix of the electrodes at the end of each step, pC/V
-    (2D: per um of depth). model, problem: with the last state. bodies: the mesh.
+    (2D: per um of depth). summary: see `piezomat.results.summary`. model, problem: with the last state. bodies: the
+    mesh.
     """
 
     history: list[dict[str, Any]]
     capacitance: list[list[list[float]]]
+    summary: dict[str, Any]
     model: Model
     problem: Problem
     bodies: BodyMesh
@@ -85,13 +88,17 @@ def run(
     *,
     resume: bool = False,
     partition: Partition | None = None,
+    quiet: bool = False,
+    watch: Callable[[Problem, Mapping[str, Any]], object] | None = None,
 ) -> Run:
     """History and last state of a scene; with `out`, its results are written there. Collective.
 
     resume: continue from the checkpoint in `out`, on any number of ranks. partition: which rank gets which cell (for
-    tests). SceneError: the scene is wrong, `out` is not free for the run or another run is at work there, or `resume`
-    finds another scene; raised before any work. CheckpointError: there is no sound checkpoint. NotConverged,
-    Interrupted, OutputError: the steps that converged are kept in `out`.
+    tests). quiet: nothing is printed. watch: called with each step that has converged, and its row.
+
+    SceneError: the scene is wrong, `out` is not free for the run or another run is at work there, or `resume` finds
+    another scene; raised before any work. CheckpointError: there is no sound checkpoint. NotConverged, Interrupted,
+    OutputError: the steps that converged are kept in `out`.
     """
     timer = Timer()
     read = [file] if (file := getattr(scene.geometry, "file", None)) is not None else []
@@ -112,7 +119,7 @@ def run(
         balance = EnergyBalance(problem)
         if not resume:
             check_start(model, contact, problem.state)
-        session = _Session(scene, comm, out, timer, model, problem, stepper, balance)
+        session = _Session(scene, comm, out, timer, model, problem, stepper, balance, quiet, watch)
         try:
             if stored is not None:
                 session.resume(stored, owned)
@@ -125,7 +132,7 @@ def run(
             session.close()
             newton.close()
             problem.close()
-    return Run(session.history, session.capacitance, model, problem, bodies)
+    return Run(session.history, session.capacitance, session.summary, model, problem, bodies)
 
 
 @dataclass
@@ -145,8 +152,11 @@ class _Session:
     problem: Problem
     stepper: Stepper
     balance: EnergyBalance
+    quiet: bool
+    watch: Callable[[Problem, Mapping[str, Any]], object] | None
 
     def __post_init__(self) -> None:
+        self.summary: dict[str, Any] = {}
         self.history: list[dict[str, Any]] = []
         self.capacitance: list[list[list[float]]] = []
         self._touched: set[int] = set()
@@ -200,7 +210,7 @@ class _Session:
     def take_steps(self, stop: StopRequest) -> None:
         """Take the load steps that are left and write the results of each. Raises NotConverged or Interrupted."""
         todo = [step for step in steps(self.scene.load) if step.number > self.last_step]
-        progress = Progress(self.comm, self.scene.title, self.last_step + len(todo), self.last_step)
+        progress = Progress(self.comm, self.scene.title, self.last_step + len(todo), self.last_step, quiet=self.quiet)
         reason = "all load steps converged"
         failure: Exception | None = None
         erratic: list[str] = []
@@ -235,16 +245,17 @@ class _Session:
                     erratic.append(str(step.number))
             if erratic:
                 progress.warn(ERRATIC.format(steps=named(erratic)))
-        untouched = (
-            untouched_bodies(self.model, self._touched) if self.history and self.problem.contact is not None else []
-        )
-        if untouched:
-            log.warning("held by weak springs alone, these bodies never touched anything: %s", named(untouched))
+            if self.history and self.problem.contact is not None:
+                untouched = untouched_bodies(self.model, self._touched)
+                if untouched:
+                    progress.warn(
+                        f"held by weak springs alone, these bodies never touched anything: {named(untouched)}"
+                    )
         if failure is not None:
             reason = str(failure)
             log.error("%s", reason)
             self._restore_last_step()
-        self._conclude(failure is None, reason)
+        self._conclude(failure is None, reason, progress.warnings)
         if failure is not None:
             raise failure
 
@@ -278,6 +289,8 @@ class _Session:
         if self.problem.contact is not None:
             self._touched |= self.problem.contact.touching_bodies()
         self._keep_state()
+        if self.watch is not None:
+            self.watch(self.problem, self.history[-1])
         if self.results is None:
             return
         with self.timer("output"):
@@ -308,31 +321,20 @@ class _Session:
         self.stepper.revisit()
         self.balance.restart_planes()
 
-    def _conclude(self, converged: bool, reason: str) -> None:
+    def _conclude(self, converged: bool, reason: str, warnings: list[str]) -> None:
+        if self.results is not None:
+            with self.timer("output"):
+                if self.history and self.scene.output.fields == "end":
+                    self._write_fields()
+        outcome = {"converged": converged, "reason": reason, "warnings": warnings}
+        values = summary_values(self.problem, self.timer, self.capacitance, outcome)
         if self.results is None:
+            self.summary = summary(self.comm, self.history, values)
             return
-        with self.timer("output"):
-            if self.history and self.scene.output.fields == "end":
-                self._write_fields()
-        loads = load_per_rank(self.problem)
-        if self.comm.size > 1:
-            log.info("%s", described(loads))
-        self.results.summary(
-            {
-                "title": self.scene.title,
-                "converged": converged,
-                "reason": reason,
-                "dofs": self.model.unknowns.total,
-                "cells": self.model.mesh.topology.index_map(self.model.dim).size_global,
-                "bodies": list(self.model.bodies.bodies),
-                "capacitance": {"electrodes": self.model.electrode_names, "matrices": self.capacitance},
-                "timings": self.timer.timings(self.comm),
-                "shares": loads,
-            }
-        )
+        self.summary = self.results.summary(values)
         if self.scene.output.picture and self.history:
             with self.timer("output"):
-                on_root(self.comm, lambda: _picture(self.out))
+                on_root(self.comm, self._picture)
 
     def _write_pairs(self) -> None:
         contact = self.problem.contact
@@ -364,6 +366,15 @@ class _Session:
             raise OutputError(str(error)) from error
         self._saved_step = self.last_step
 
+    def _picture(self) -> None:
+        from piezomat.pictures.picture import view
+
+        try:
+            view(self.out)
+        except Exception as error:  # a picture must not cost the run its results
+            log.warning("no picture: %s", error)
+            print(f"piezomat: no picture: {error}", file=sys.stderr)
+
     def _interrupted(self, where: str) -> Interrupted:
         resume = f"; go on with: piezomat resume {shlex.quote(str(self.out))}" if self.out is not None else ""
         return Interrupted(f"interrupted{where}: {self._what_is_kept(self.last_step)}{resume}")
@@ -383,13 +394,3 @@ def plan(scene: Scene, comm: MPI.Comm) -> str:
 
 def _ranks(number: int) -> str:
     return "1 rank" if number == 1 else f"{number} ranks"
-
-
-def _picture(out: Path) -> None:
-    from piezomat.pictures import picture as pictures
-
-    try:
-        pictures.view(out)
-    except Exception as error:  # a picture must not cost the run its results
-        log.warning("no picture: %s", error)
-        print(f"piezomat: no picture: {error}", file=sys.stderr)

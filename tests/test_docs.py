@@ -151,5 +151,5 @@ def test_no_whole_scene_of_a_readme_is_out_of_date(tmp_path: Path) -> None:
 def test_python_in_readmes_uses_public_names(readme: str) -> None:
     for block in re.findall(r"^```python\n(.*?)^```$", text(readme), re.M | re.S):
         compile(block, readme, "exec")
-        for name in re.findall(r"(?<!^from )\bpiezomat\.(\w+)", block, re.M):
+        for name in re.findall(r"(?<!^from )\b(?:piezomat|pz)\.(\w+)", block, re.M):
             assert name in piezomat.__all__, name

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from piezomat.contact.pairs import Pairs
 from piezomat.forms.arrays import Array, Integers
 from piezomat.results.files import Value, read_history
-from piezomat.results.vtk import STATUS, IndexEntry, ResultsError, read_index
+from piezomat.results.pieces import read_contact, read_fields
+from piezomat.results.vtk import STATUS, IndexEntry, ResultsError, read_index, von_mises
 
 # Cells of 2D meshes by VTK type: triangles between their nodes, and their edges from corner to corner.
 _TRIANGLES = {
@@ -64,11 +65,8 @@ class Bodies:
     @cached_property
     def von_mises(self) -> Array:
         """Von Mises stress at the nodes (n,), MPa: mean of the cells around each, body by body."""
-        s11, s22, s33, s23, s13, s12 = self.stress.T
-        shear = s23**2 + s13**2 + s12**2
-        in_cells = np.sqrt(((s11 - s22) ** 2 + (s22 - s33) ** 2 + (s33 - s11) ** 2) / 2 + 3 * shear)
         count = np.bincount(self.cells.ravel(), minlength=len(self.points))
-        spread = np.repeat(in_cells, self.cells.shape[1])
+        spread = np.repeat(von_mises(self.stress), self.cells.shape[1])
         return np.bincount(self.cells.ravel(), spread, minlength=len(self.points)) / np.maximum(count, 1)
 
     def triangles(self, body: int) -> Integers:
@@ -240,68 +238,22 @@ def _bodies(directory: Path) -> list[str]:
         raise ResultsError(f"cannot read {summary}: {error}") from error
 
 
-def _read(directory: Path, entry: IndexEntry) -> list[Any]:
-    import pyvista
-
-    for file in entry.files:
-        if not (directory / file).is_file():
-            raise ResultsError(f"{directory / file}, a result of step {entry.step}, is missing")
-    parts = [pyvista.read(directory / file) for file in entry.files]
-    return [part for part in parts if part.n_points] or parts[:1]
-
-
 def _read_bodies(directory: Path, entry: IndexEntry) -> Bodies | None:
-    parts = [part for part in _read(directory, entry) if part.n_cells]
-    if not parts:
+    piece = read_fields(directory, entry)
+    if piece is None:
         return None
-    starts = np.cumsum([0] + [part.n_points for part in parts[:-1]])
-    cell_type = int(parts[0].celltypes[0])
-    nodes = parts[0].get_cell(0).n_points
-    cells = np.vstack(
-        [part.cells.reshape(-1, nodes + 1)[:, 1:] + start for part, start in zip(parts, starts, strict=True)]
-    )
-    points = np.vstack([part.points for part in parts]).astype(float)
-    body = np.concatenate([part["body"] for part in parts]).astype(np.int64)
-    electric = all("potential" in part.point_data for part in parts)
-    nodes_of_body, cells = _merge(points, cells, body)
+    grid = piece.grid
     return Bodies(
-        points=points[nodes_of_body],
-        cells=cells,
-        cell_type=cell_type,
-        displacement=np.vstack([part["displacement"] for part in parts])[nodes_of_body],
-        potential=np.concatenate([part["potential"] for part in parts])[nodes_of_body] if electric else None,
-        stress=np.vstack([part["stress"] for part in parts]),
-        body=body,
+        grid.points, grid.cells, grid.cell_type, piece.displacement, piece.potential, piece.stress, piece.body
     )
-
-
-def _merge(points: Array, cells: Integers, body: Integers) -> tuple[Integers, Integers]:
-    """Nodes that stand for all at the same place in the same body, and the cells in their numbers.
-
-    Copies of a node on several ranks have the same coordinates to the last bit.
-    """
-    pairs, place = np.unique(body[:, None] * len(points) + cells, return_inverse=True)
-    node_body, node = np.divmod(pairs, len(points))
-    rows = np.column_stack([node_body, points[node]])
-    _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return node[first], which.reshape(-1)[place].reshape(cells.shape)
 
 
 def _read_contact(directory: Path, entry: IndexEntry) -> ContactData | None:
-    parts = [part for part in _read(directory, entry) if part.n_points]
-    if not parts:
+    points = read_contact(directory, entry)
+    if points is None:
         return None
-
-    def all_of(name: str) -> NDArray[Any]:
-        return np.concatenate([np.asarray(part[name]) for part in parts])
-
     return ContactData(
-        position=np.vstack([part.points for part in parts]).astype(float),
-        normal=all_of("normal"),
-        gap=all_of("gap"),
-        pressure=all_of("pressure"),
-        status=all_of("status").astype(np.int64),
-        pair=all_of("pair").astype(np.int64),
+        points.position, points.normal, points.gap, points.pressure, points.status.astype(np.int64), points.pair
     )
 
 

@@ -21,7 +21,8 @@ from piezomat.results.vtk import ContactPoints, FieldPiece, grid
 class FieldOutput:
     """Field pieces of a problem's solutions; cell values are those at the cells' centres.
 
-    With finite kinematics they are current quantities: Cauchy stress, spatial field and electric displacement.
+    With finite kinematics they are current quantities: Cauchy stress, spatial field and electric displacement; but the
+    strain is that of Green and Lagrange.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -39,10 +40,13 @@ class FieldOutput:
             entries = [gradient[i, j] for i in range(model.dim) for j in range(model.dim)]
             self._gradient = center_expression(ufl.as_vector(entries), model.mesh)
 
-    def piece(self) -> FieldPiece:
-        """This rank's fields of the present solution. Collective."""
-        model, solution = self.problem.model, self.problem.solution()
-        values = solution.x.array.reshape(-1, model.unknowns.block)[self._node]
+    def piece(self, solution: Array | None = None) -> FieldPiece:
+        """This rank's fields of the present solution, or of another one's values on this rank. Collective."""
+        model = self.problem.model
+        function = self.problem.solution()
+        if solution is not None:
+            function.x.array[:] = solution
+        values = function.x.array.reshape(-1, model.unknowns.block)[self._node]
         cells = len(self._grid.cells)
         (strain, stress, density), field = self._response.evaluate()
         potential = model.potential_scale * values[:, model.dim] if model.electric else None
@@ -57,6 +61,8 @@ class FieldOutput:
             stress,
             model.bodies.cell_body,
             **(electric if model.electric else {}),
+            strain=strain,
+            body_names=tuple(model.bodies.bodies),
         )
 
 
@@ -74,8 +80,9 @@ def contact_points(contact: Interfaces, model: Model) -> ContactPoints:
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     position, normal, gap, pressure, status, pair, jump = (np.concatenate(column) for column in columns)
+    names = {int(number): contact.pairs.result_name(int(number)) for number in np.unique(pair)}
     return ContactPoints(
-        _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if model.electric else None
+        _in_space(position), _in_space(normal), gap, pressure, status, pair, jump if model.electric else None, names
     )
 
 

@@ -10,28 +10,22 @@ import csv
 import io
 import json
 import logging
-import math
 import os
-import platform
-import re
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
-from piezomat import __version__
-from piezomat.forms import fenicsx
 from piezomat.meshes.parallel import on_all, on_root
 from piezomat.results.atomic import replacing, to_disk, write_text
 from piezomat.results.folder import CHECKPOINT, FIBERS, MESH, PIECES, remove_results, remove_unfinished
 from piezomat.results.log_file import LogFile
 from piezomat.results.pairs_table import pairs_until
+from piezomat.results.summary import summary
 from piezomat.results.vtk import (
     PIECE,
     ContactPoints,
@@ -42,12 +36,8 @@ from piezomat.results.vtk import (
     write_index,
     xml,
 )
-from piezomat.usage import peak_memory_mb
 
 Value = float | int | str
-SUMMARY_KEYS = tuple(
-    "title converged reason ranks dofs cells bodies steps capacitance timings peak_memory_mb shares versions".split()
-)
 T = TypeVar("T")
 log = logging.getLogger("piezomat")
 
@@ -71,7 +61,7 @@ class Results:
         self.rows: list[dict[str, Value]] = []
         self._columns: list[str] = []
         self._pairs: str | None = None
-        self._log: logging.Handler | None = None
+        self._log: LogFile | None = None
 
     def __enter__(self) -> Results:
         return self
@@ -175,34 +165,21 @@ class Results:
         """Write each rank's contact points of a step, and name them in contact.pvd (at `step` by default)."""
         self._write_pieces("contact", step, step if stage_time is None else stage_time, points)
 
-    def summary(self, values: Mapping[str, Any]) -> None:
-        """Write summary.json with the keys `SUMMARY_KEYS`; a number that is not finite becomes null.
-
-        `ranks`, `steps`, `peak_memory_mb` and `versions` are added; ValueError unless `values` has exactly the
-        others.
-        """
-        known = {
-            "ranks": self.comm.size,
-            "steps": self.rows,
-            "peak_memory_mb": peak_memory_mb(self.comm),
-            "versions": versions(),
-        }
+    def summary(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Write summary.json, see `piezomat.results.summary`; what it holds, with the rows of the history."""
+        content = summary(self.comm, self.rows, values)
 
         def write() -> None:
-            content = known | dict(values)
-            wrong = sorted(set(content) ^ set(SUMMARY_KEYS))
-            if wrong:
-                raise ValueError(f"keys of the summary that are missing or unknown: {', '.join(wrong)}")
-            ordered = {key: _json(content[key]) for key in SUMMARY_KEYS}
-            text = json.dumps(ordered, indent=2, ensure_ascii=False, allow_nan=False)
+            text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
             write_text(self.out / "summary.json", text + "\n")
 
         self._on_root(write)
+        return content
 
     def close(self) -> None:
         """Close the log file. Not collective."""
         if self._log is not None:
-            log.removeHandler(self._log)
+            self._log.detach(log)
             self._log.close()
             self._log = None
 
@@ -220,10 +197,7 @@ class Results:
         """Log to log.txt, behind what is there."""
         self.close()
         self._log = LogFile(self.out / "log.txt")
-        self._log.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        log.addHandler(self._log)
-        if log.level == logging.NOTSET:
-            log.setLevel(logging.INFO)
+        self._log.attach(log)
 
     def _on_root(self, action: Callable[[], T]) -> T:
         """`on_root` of an action that writes. Raises OutputError."""
@@ -319,29 +293,6 @@ def read_history(path: Path) -> list[dict[str, Value]]:
     return history
 
 
-def versions() -> dict[str, str]:
-    """Versions of piezomat and of the programs that it uses; those that are not installed are left out."""
-    from petsc4py import PETSc
-
-    found = {
-        "piezomat": __version__,
-        "dolfinx": fenicsx.VERSION,
-        "petsc": ".".join(str(number) for number in PETSc.Sys.getVersion()),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "mpi": re.split("[,\n]", MPI.Get_library_version())[0].strip("\x00 "),
-    }
-    for name in ("gmsh", "mpi4py", "pyvista"):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            # a distribution's module may come without metadata
-            version = getattr(sys.modules.get(name), "__version__", None)
-            if version is not None:
-                found[name] = str(version)
-    return found
-
-
 def _plain(value: Value) -> Value:
     """The value with numpy's and boolean numbers as Python's own, whose repr is the number alone."""
     if isinstance(value, (bool, np.bool_, np.integer)):
@@ -359,13 +310,3 @@ def _number(text: str | None) -> Value:
         except ValueError:
             pass
     return text
-
-
-def _json(value: Any) -> Any:
-    """The value with numpy's numbers as Python's, and None for what is not finite (JSON has no nan)."""
-    if isinstance(value, Mapping):
-        return {str(key): _json(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_json(entry) for entry in value]
-    value = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,17 @@ from piezomat.forms import fenicsx
 from piezomat.results.atomic import write_text
 
 STATUS = ("apart", "touching", "bonded", "broken")
+AXES = ("x", "y", "z")
+STRESSES = ("xx", "yy", "zz", "yz", "xz", "xy")
+# Names of the components of each field; ParaView's own would call the third shear of a stress XZ.
+COMPONENTS = {
+    "displacement": AXES,
+    "stress": STRESSES,
+    "strain": STRESSES,
+    "electric_field": AXES,
+    "electric_displacement": AXES,
+    "normal": AXES,
+}
 # the file of one rank and one step
 PIECE = re.compile(r"step_(?P<step>\d{4,})_rank_(?P<rank>\d{4,})\.vt[up]")
 
@@ -60,9 +71,9 @@ def grid(mesh: Any) -> Grid:
 class FieldPiece:
     """Fields of this rank's cells; the electric ones are None where there is no potential.
 
-    At the grid's points: displacement (n, 3) um, potential (n,) V. In its cells: stress (m, 6) MPa in the
-    order 11 22 33 23 13 12; body (m,), its number; electric_field (m, 3) V/um; electric_displacement (m, 3)
-    pC/um2.
+    At the grid's points: displacement (n, 3) um, potential (n,) V. In its cells: stress (m, 6) MPa and strain (m, 6),
+    which has engineering shears, both in the order 11 22 33 23 13 12; body (m,), its number; electric_field (m, 3)
+    V/um; electric_displacement (m, 3) pC/um2. body_names: by the number of the body.
     """
 
     grid: Grid
@@ -72,9 +83,16 @@ class FieldPiece:
     potential: NDArray[np.float64] | None = None
     electric_field: NDArray[np.float64] | None = None
     electric_displacement: NDArray[np.float64] | None = None
+    strain: NDArray[np.float64] | None = None
+    body_names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.grid.cells)
+
+    @property
+    def von_mises(self) -> NDArray[np.float64]:
+        """Von Mises stress in the cells (m,), MPa."""
+        return von_mises(self.stress)
 
     def vtk(self) -> Any:
         """The piece as a pyvista UnstructuredGrid; ValueError where an array's length is wrong."""
@@ -85,8 +103,9 @@ class FieldPiece:
         types = np.full(cells, self.grid.cell_type, np.uint8)
         data = pyvista.UnstructuredGrid(padded, types, self.grid.points)
         _attach(data.point_data, len(self.grid.points), self, ("displacement", "potential"))
-        in_cells = ("stress", "electric_field", "electric_displacement", "body")
+        in_cells = ("stress", "von_mises", "strain", "electric_field", "electric_displacement", "body")
         _attach(data.cell_data, cells, self, in_cells)
+        _name(data, "body_names", self.body_names)
         return data
 
 
@@ -96,7 +115,7 @@ class ContactPoints:
 
     position (n, 3) now, um; normal (n, 3) of the surface met; gap (n,) um; pressure (n,) MPa, negative where
     adhesion pulls; status (n,), place in `STATUS`; pair (n,), number of the contact pair; potential_jump (n,)
-    V, None where there is no potential.
+    V, None where there is no potential. pair_names: of the pairs and planes of the points, by number.
     """
 
     position: NDArray[np.float64]
@@ -106,6 +125,7 @@ class ContactPoints:
     status: NDArray[np.integer]
     pair: NDArray[np.integer]
     potential_jump: NDArray[np.float64] | None = None
+    pair_names: Mapping[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -117,6 +137,10 @@ class ContactPoints:
         data = pyvista.PolyData(np.asarray(self.position, float)) if len(self) else pyvista.PolyData()
         names = ("normal", "gap", "pressure", "potential_jump", "status", "pair")
         _attach(data.point_data, len(self), self, names)
+        _name(data, "status_names", STATUS)
+        if self.pair_names:
+            _name(data, "pair_names", tuple(self.pair_names.values()))
+            data.field_data["pair_numbers"] = np.array(list(self.pair_names), np.int32)
         return data
 
 
@@ -127,6 +151,13 @@ class IndexEntry:
     step: int
     time: float
     files: tuple[Path, ...]
+
+
+def von_mises(stress: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Von Mises stress (m,) of stresses (m, 6), MPa."""
+    s11, s22, s33, s23, s13, s12 = stress.T
+    shear = s23**2 + s13**2 + s12**2
+    return np.sqrt(((s11 - s22) ** 2 + (s22 - s33) ** 2 + (s33 - s11) ** 2) / 2 + 3 * shear)
 
 
 def xml(data: Any) -> bytes:
@@ -189,3 +220,16 @@ def _attach(data: Any, length: int, source: object, names: Sequence[str]) -> Non
             raise ValueError(f"{name} has {len(values)} values where {length} are needed")
         if length:
             data[name] = values.astype(np.int32 if values.dtype.kind in "iub" else float)
+            for component, text in enumerate(COMPONENTS.get(name, ())):
+                data.get_array(name).VTKObject.SetComponentName(component, text)
+
+
+def _name(data: Any, name: str, texts: Sequence[str]) -> None:
+    """Put texts into VTK's field data; pyvista would refuse what is not ASCII."""
+    from vtkmodules.vtkCommonCore import vtkStringArray
+
+    array = vtkStringArray()
+    array.SetName(name)
+    for text in texts:
+        array.InsertNextValue(text)
+    data.GetFieldData().AddArray(array)

@@ -69,9 +69,12 @@ def named(names: Sequence[str]) -> str:
 
 
 def near(name: object, known: Sequence[str]) -> str:
-    """' (did you mean "x"?)' for the known name that is nearest, or nothing."""
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.6)
-    return f' (did you mean "{close[0]}"?)' if close else ""
+    """' (did you mean "x"?)' for the known name that is nearest, whatever its case, or nothing."""
+    lower: dict[str, str] = {}
+    for candidate in known:
+        lower.setdefault(candidate.lower(), candidate)
+    close = difflib.get_close_matches(str(name).lower(), list(lower), n=1, cutoff=0.6)
+    return f' (did you mean "{lower[close[0]]}"?)' if close else ""
 
 
 def unknown_name(key: str, name: object, what: str, known: Sequence[str]) -> SceneError:

@@ -1,6 +1,7 @@
 """The scene: read from a file or made in Python, checked as a whole, written as TOML.
 
     scene = Scene.load("crossed_fibers", ["contact.method=node"])
+    scene = Scene.load("crossed_fibers", {"contact.method": "node"})
     scene = Scene(geometry={"shape": "facing_halves"}, mesh={"size": 0.1}, bodies={...}, boundaries=[...])
 
 Both ways pass the same checks and raise SceneError, one line. Nothing here is collective.
@@ -9,13 +10,12 @@ Both ways pass the same checks and raise SceneError, one line. Nothing here is c
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-from pydantic import BaseModel, ValidationError, model_validator
+from pydantic import ValidationError, model_validator
 
 from piezomat.scene import toml as scene_file
 from piezomat.scene.checks import check
@@ -23,7 +23,7 @@ from piezomat.scene.data import SceneData, groups_of
 from piezomat.scene.errors import SceneError, named, unknown_name
 from piezomat.scene.estimate import check_size
 from piezomat.scene.validation import scene_error
-from piezomat.scene.values import check_values
+from piezomat.scene.values import check_values, plain
 
 
 class Scene(SceneData):
@@ -34,7 +34,7 @@ class Scene(SceneData):
 
     def __init__(self, **data: Any) -> None:
         try:
-            data = _plain(data)
+            data = plain(data)
         except RecursionError:
             raise SceneError("", "values nested too deeply", "the tables of a scene") from None
         check_values(data)
@@ -63,9 +63,19 @@ class Scene(SceneData):
         return self
 
 
-def _load(cls: type[Scene], path: str | Path, overrides: Sequence[str] = ()) -> Scene:
-    """The scene of a file or of a shipped example, with overrides KEY=VALUE in place. Raises SceneError."""
-    found = scene_file.find(path)
+def _load(
+    cls: type[Scene], scene: str | Path | Mapping[str, Any] | SceneData, overrides: scene_file.Overrides = ()
+) -> Scene:
+    """A scene with overrides in place: texts KEY=VALUE, or values by key such as {"geometry.radius": 0.2}.
+
+    scene: the path of a file, the name of a shipped example, the sections of a scene as a dict, or a Scene. A relative
+    `geometry.file` is relative to the scene file; in a dict, to the working folder. Raises SceneError.
+    """
+    if isinstance(scene, (Mapping, SceneData)):
+        data = plain(scene)
+        scene_file.override(data, overrides)
+        return cls(**data)
+    found = scene_file.find(scene)
     try:
         data = scene_file.read(found, overrides)
         return cls(**{"title": found.stem, **data})
@@ -95,16 +105,3 @@ def _check_geometry_kind(geometry: Any) -> None:
         if "shape" not in geometry:
             raise SceneError("geometry.shape", "nothing", f"{named(shapes)}; or file = a gmsh mesh")
         raise unknown_name("geometry.shape", geometry["shape"], "a known shape", shapes)
-
-
-def _plain(value: Any) -> Any:
-    """Models, tuples, arrays and paths given in Python as a TOML file would give them."""
-    if isinstance(value, BaseModel):
-        return _plain(value.model_dump(mode="json", exclude_none=True))
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    return str(value.absolute()) if isinstance(value, Path) else value

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from piezomat.scene.errors import LONGEST, SceneError, dotted, named, near, shown
-from piezomat.scene.values import check_values
+from piezomat.scene.values import check_values, plain
 
 EXAMPLES = Path(__file__).parent.with_name("scenes")
 
@@ -28,6 +28,9 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "potential": ("charge_density",),
     "charge_density": ("potential",),
 }
+
+# Texts KEY=VALUE as on the command line, or values by key.
+Overrides = Sequence[str] | Mapping[str, Any]
 
 MOST_BYTES = 4_000_000  # of a scene file: 400,000 unknown keys take 6 s to refuse
 MOST_PARTS = 32  # of a dotted key: tomllib takes 14 s for one of 20,000
@@ -75,15 +78,14 @@ def is_directory(path: Path) -> bool:
         return False
 
 
-def read(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The tables of a scene file with the overrides KEY=VALUE in place, and paths in it made absolute.
+def read(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
+    """The tables of a scene file with the overrides in place, and paths in it made absolute.
 
     Raises SceneError for a file that cannot be read or is no TOML, and for an override that fits nowhere.
     """
     data = _tables(path)
     check_values(data)
-    for override in overrides:
-        override_key(data, override)
+    override(data, overrides)
     geometry = data.get("geometry")
     if isinstance(geometry, dict) and isinstance(geometry.get("file"), str):
         geometry["file"] = str(path.parent.absolute() / geometry["file"])
@@ -115,31 +117,47 @@ def _tables(path: Path) -> dict[str, Any]:
         raise SceneError("", "an integer of thousands of digits", "integers of 64 bits") from None
 
 
-def override_key(data: dict[str, Any], override: str) -> None:
-    """Put VALUE in place of the key's own, for an override KEY=VALUE: TOML, or a bare word as a string.
+def override(data: dict[str, Any], overrides: Overrides) -> None:
+    """Put values of keys in place of those in the tables of a scene: texts KEY=VALUE, or a dict of values by key.
+
+    VALUE is TOML, or a bare word as a string. Raises SceneError.
+    """
+    if isinstance(overrides, Mapping):
+        for key, value in overrides.items():
+            value = plain(value)
+            _put(data, str(key), value, f"{key} = {shown(value)}")
+        return
+    for text in overrides:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise SceneError("--set", shown(text), "KEY=VALUE, such as contact.method=node")
+        _put(data, key, _value(key, value), f"--set {shown(text)}")
+
+
+def _put(data: dict[str, Any], key: str, value: Any, given: str) -> None:
+    """Put a value in place of the key's own; `given` says in an error what was to be put.
 
     The key is a dotted path with indices of lists, `boundaries.1.potential` or `boundaries[1].potential`.
     Missing tables are made; keys that exclude this one (a penalty and its factor, say) are taken out.
     """
-    key, equals, text = (part.strip() for part in override.partition("="))
     parts = _parts(key)
-    if not equals or not parts or len(parts) > MOST_PARTS:
-        raise SceneError("--set", shown(override), "KEY=VALUE, such as contact.method=node")
+    if not parts or len(parts) > MOST_PARTS:
+        where = "--set" if given.startswith("--set ") else "overrides"
+        raise SceneError(where, given.removeprefix("--set "), "KEY=VALUE, such as contact.method=node")
     table: Any = data
     for depth, part in enumerate(parts):
         if isinstance(table, list):
             if not isinstance(part, int) and not re.fullmatch("[0-9]+", part):
-                found = f"{shown(part)} in --set {shown(override)}"
+                found = f"{shown(part)} in {given}"
                 raise SceneError(dotted(parts[:depth]), found, "an index of this list")
             parts[depth] = part = _index(part)
             if part >= len(table):
                 allowed = f"indices 0 to {len(table) - 1}" if table else "no index: the list is empty"
                 raise SceneError(dotted(parts[: depth + 1]), "an index outside the list", allowed)
         elif not isinstance(table, dict) or isinstance(part, int):
-            found = f"{shown(table)} with --set {shown(override)}"
+            found = f"{shown(table)} with {given}"
             raise SceneError(dotted(parts[:depth]), found, "a value without keys")
         if depth == len(parts) - 1:
-            value = _value(key, text)
             check_values(value, tuple(parts))
             table[part] = value
             for rival in RIVALS.get(part, ()) if isinstance(part, str) else ():

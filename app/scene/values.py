@@ -1,11 +1,16 @@
 """What the values of a scene may be before any key is looked at: text on one line, numbers of 64 bits, few levels.
 
-Python's own readers raise errors of their own for the rest, or none. Nothing here recurses.
+Python's own readers raise errors of their own for the rest, or none. `check_values` does not recurse.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
 
 from piezomat.meshes.names import breaking_character
 from piezomat.scene.errors import SceneError, dotted, shown
@@ -39,3 +44,16 @@ def check_values(data: Any, path: tuple[str | int, ...] = ()) -> None:
             raise SceneError(dotted(path), shown(value), "integers of 64 bits")
         elif value is not None and not isinstance(value, (bool, int, float)):
             raise SceneError(dotted(path), f"{value} ({type(value).__name__})", KINDS)
+
+
+def plain(value: Any) -> Any:
+    """Models, tuples, arrays and paths given in Python as a TOML file would give them."""
+    if isinstance(value, BaseModel):
+        return plain(value.model_dump(mode="json", exclude_none=True))
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return str(value.absolute()) if isinstance(value, Path) else value

@@ -19,7 +19,8 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.forms import fenicsx
-from piezomat.results.files import SUMMARY_KEYS, Results, read_history, versions
+from piezomat.results.files import Results, read_history
+from piezomat.results.summary import SUMMARY_KEYS, versions
 from piezomat.results.vtk import ContactPoints, FieldPiece, ResultsError, grid, read_index
 from piezomat.usage import Timer
 from tests.conftest import bare_environment
@@ -316,7 +317,7 @@ def test_ranks_without_cells_or_points(comm: MPI.Comm, shared_tmp_path: Path) ->
     contact = read_index(shared_tmp_path / "contact.pvd")
     assert [(e.step, e.time, len(e.files)) for e in contact] == [(1, 1.0, 1), (2, 2.0, 1)]
     data = pyvista.read(shared_tmp_path / contact[0].files[0])
-    assert data.n_points == 2 and set(data.array_names) == {"normal", "gap", "pressure", "status", "pair"}
+    assert data.n_points == 2 and set(data.point_data) == {"normal", "gap", "pressure", "status", "pair"}
     assert data["status"].tolist() == [1, 1]
     assert pyvista.read(shared_tmp_path / contact[1].files[0]).n_points == 0
 
@@ -380,6 +381,8 @@ def test_summary_has_the_keys_of_the_contract(comm: MPI.Comm, shared_tmp_path: P
         "dofs": np.int64(12),
         "cells": 4,
         "bodies": ("lower", "upper"),
+        "recipe": None,
+        "warnings": ["a doubt"],
         "capacitance": {"electrodes": [], "matrices": []},
         "timings": Timer().timings(comm),
         "shares": {"dofs": [12]},

@@ -14,7 +14,8 @@ import pyvista
 from mpi4py import MPI
 
 from piezomat import cli
-from piezomat.results.files import SUMMARY_KEYS, read_history
+from piezomat.results.files import read_history
+from piezomat.results.summary import SUMMARY_KEYS
 from piezomat.results.vtk import read_index
 from piezomat.scene import Scene
 from piezomat.simulation import NotConverged, Run, plan, run
@@ -311,7 +312,14 @@ def test_fields(wanted: str, comm: MPI.Comm, shared_tmp_path: Path) -> None:
     assert sum(piece.n_cells for piece in pieces) == cells
     for piece in pieces:
         assert set(piece.point_data) == {"displacement", "potential"}
-        in_cells = {"stress": 6, "electric_field": 3, "electric_displacement": 3, "body": 1}
+        in_cells = {
+            "stress": 6,
+            "von_mises": 1,
+            "strain": 6,
+            "electric_field": 3,
+            "electric_displacement": 3,
+            "body": 1,
+        }
         assert {n: piece.cell_data[n].size // piece.n_cells for n in piece.cell_data} == in_cells
     # At the upper electrode the fields are what the scene prescribes at the end.
     x, moved, potential = (

@@ -67,16 +67,16 @@ import ctypes
 
 from mpi4py import MPI
 
+import piezomat as pz
 from piezomat.assembly.problem import Problem
-from piezomat.scene import Scene
-from piezomat.simulation import run
 
 held = []
 if {leaks}:
     Problem.close = lambda self: held.append(self)
-keys = ["mesh.size=0.04", "mesh.contact_size=0.005", "load.steps=[1, 1]"]
+keys = {{"mesh.size": 0.04, "mesh.contact_size": 0.005, "load.steps": [1, 1]}}
 for number in range(10):
-    run(Scene.load("fibers_2d", keys), MPI.COMM_SELF)
+    result = pz.run("fibers_2d", keys, comm=MPI.COMM_SELF, quiet=True)
+    result.grid(1), result.contact(1)
     if number in (1, 9):
         ctypes.CDLL(None).malloc_trim(0)
         pages = int(open("/proc/self/statm").read().split()[1])

@@ -1,0 +1,1 @@
+"""piezomat from Python: run, open, sweep, and what they return."""
