@@ -10,6 +10,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Booleans
 from piezomat.forms.contact.facets import Facets
 from piezomat.meshes import parallel
+from piezomat.meshes.contact.facet_bounds import near_points
 from piezomat.meshes.contact.global_search import CandidatePairs, GhostFacets, PairingRule, share_facets
 from piezomat.meshes.contact.overlap import deepest_overlap
 from piezomat.meshes.contact.surface import global_numbers, surface
@@ -39,6 +40,7 @@ def start_overlap(model: Model, contact: Interfaces) -> float:
     may_meet, deepest = _may_meet(model, contact), 0.0
     for number, facets, points in zip(near.component, near.facets, near.points, strict=True):
         points = points[may_meet[part[points], rule.body(number)]]
+        points = points[near_points(middles[points], body.nodes[facets], margin)]
         deepest = max(deepest, deepest_overlap(middles[points], body[facets]))
     return float(parallel.largest(model.comm, np.array([deepest]))[0])
 
