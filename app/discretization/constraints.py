@@ -17,7 +17,7 @@ from piezomat.forms.contact.integrals import nodal_points, quadrature_points
 from piezomat.meshes import parallel
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.contact.surface import surface
-from piezomat.scene.errors import SceneError
+from piezomat.scene.errors import SceneError, shown
 from piezomat.scene.scene import Scene
 from piezomat.scene.sections import Boundary, Electrode
 
@@ -28,7 +28,7 @@ class Condition:
 
     boundary: the row of the scene
     facets (f,): this rank's facets of the group
-    fixed {component: (k,)}: owned local unknowns that it fixes; where rows meet, the first one fixes the unknown
+    fixed {component: (k,)}: owned local unknowns that it fixes; where rows meet, which then agree, the first one does
     area (um2; 2D: um): of the undeformed facets, over all ranks
     normal (d,): integral of the outward normal over the undeformed facets, over all ranks
     nodes (m,), weights (m,): this rank's nodes on the facets and the share of the area that belongs to each
@@ -66,20 +66,23 @@ class Constraints:
     ) -> None:
         """Fix and tie what the scene says, and fix at zero the potentials (local nodes,) that no permittivity touches.
 
-        Collective. Raises SceneError for a group without facets, and for electrodes with nodes in common.
+        Collective. Raises SceneError for a group without facets, for boundaries that prescribe different values at a
+        node, and for electrodes with nodes in common.
         """
         self._unknowns = unknowns
         self._potential_scale = potential_scale
         self.is_fixed: Booleans = np.zeros((unknowns.owned, unknowns.block), bool)
         if unknowns.electric:
             self.is_fixed[:, unknowns.dim] = ~dielectric_node[: unknowns.owned]
-        self.conditions = [self._condition(index, boundary, bodies) for index, boundary in enumerate(scene.boundaries)]
+        self.conditions: list[Condition] = []
+        for boundary in scene.boundaries:
+            self.conditions.append(self._condition(boundary, bodies))
         self.groups: dict[str, list[Condition]] = {}
         for condition in self.conditions:
             self.groups.setdefault(condition.boundary.on, []).append(condition)
-        given = np.zeros(unknowns.owned, bool)
-        for condition in self.conditions:
-            given[condition.fixed.get(unknowns.dim, np.zeros(0, np.int64)) // unknowns.block] = True
+        given = np.full(unknowns.owned, -1)
+        for row, condition in enumerate(self.conditions):
+            given[condition.fixed.get(unknowns.dim, np.zeros(0, np.int64)) // unknowns.block] = row
         self.electrodes: list[ElectrodeNodes] = electrode_nodes(scene, unknowns, bodies, dielectric_node, given)
         self.ties = Ties(
             unknowns,
@@ -132,24 +135,46 @@ class Constraints:
         """Make the rows and columns of the eliminated unknowns those of the unit matrix. Collective."""
         matrix.zeroRowsColumns(self.eliminated_global, diag=1.0)
 
-    def _condition(self, index: int, boundary: Boundary, bodies: BodyMesh) -> Condition:
-        """A row of the scene; marks the unknowns that it fixes."""
-        unknowns = self._unknowns
+    def _condition(self, boundary: Boundary, bodies: BodyMesh) -> Condition:
+        """The next row of the scene; marks the unknowns that it fixes."""
+        unknowns, index = self._unknowns, len(self.conditions)
         facets = bodies.facets[boundary.on]
         nodes = unknowns.nodes_of(facets)
         if unknowns.comm.allreduce(len(facets)) == 0:
             raise SceneError(f"boundaries[{index}].on", f'"{boundary.on}", which has no facets', "a group with facets")
-        components = dict(enumerate(boundary.displacement or []))
-        if boundary.potential is not None:
-            components[unknowns.dim] = boundary.potential
         fixed = {}
-        for component, value in components.items():
-            if value is None:
-                continue
+        for component in _prescribed(boundary, unknowns.dim):
+            self._check_contradiction(boundary, component, nodes)
             free = nodes[~self.is_fixed[nodes, component]]
             self.is_fixed[free, component] = True
             fixed[component] = free * unknowns.block + component
         return Condition(boundary, facets, fixed, *_measure(unknowns, bodies, facets))
+
+    def _check_contradiction(self, boundary: Boundary, component: int, nodes: NDArray[np.int64]) -> None:
+        """Raise SceneError if an earlier row prescribes another value of a component at one of its nodes. Collective.
+
+        Rows whose facets share a corner alone count too: one of the two would not be what the scene says.
+        """
+        unknowns, index = self._unknowns, len(self.conditions)
+        value = _prescribed(boundary, unknowns.dim)[component]
+        for number, other in enumerate(self.conditions):
+            if _prescribed(other.boundary, unknowns.dim).get(component, value) == value:
+                continue
+            common = np.isin(nodes * unknowns.block + component, other.fixed[component])
+            count = unknowns.comm.allreduce(int(common.sum()))
+            if count:
+                what = "potential" if component == unknowns.dim else "displacement"
+                which = what if component == unknowns.dim else f"{what} {'xyz'[component]}"
+                there = f"on {shown(boundary.on)} than boundaries[{number}] on {shown(other.boundary.on)}"
+                belong = "nodes belong" if count > 1 else "node belongs"
+                found = f"another {which} {there}; {count} {belong} to both"
+                raise SceneError(f"boundaries[{index}].{what}", found, "one value at each node")
+
+
+def _prescribed(row: Boundary, dim: int) -> dict[int, tuple[float, str | None]]:
+    """Value and factor of each component that a row prescribes, the potential being the last; zero has no factor."""
+    given = dict(enumerate(row.displacement or [])) | {dim: row.potential}
+    return {i: (value, row.follows if value else None) for i, value in given.items() if value is not None}
 
 
 def load_factor(row: Boundary | Electrode, factors: dict[str, float]) -> float:

@@ -12,7 +12,6 @@ from piezomat.meshes.gmsh_io.model import GEOMETRY
 from piezomat.meshes.joints import Joint
 from piezomat.scene.errors import SceneError, shown
 from piezomat.scene.scene import Scene
-from piezomat.scene.sections import Boundary
 
 # Poisson's ratio above which linear elements lock. A half disc pressed on rubber is too stiff with order 1 by 5 % at
 # 0.49, 25 % at 0.499, 61 % at 0.4999 (triangles); by 5, 53 and 430 % with quadrilaterals.
@@ -22,11 +21,9 @@ LOCKING = 0.45
 def doubts(scene: Scene, bodies: BodyMesh, materials: list[ConstitutiveLaw]) -> list[str]:
     """What of a scene and its mesh may not be meant, one sentence each. Collective.
 
-    SceneError: a joint that cannot be meant, an electrode where nothing has a permittivity, boundaries that contradict
-    each other.
+    SceneError: a joint that cannot be meant, an electrode where nothing has a permittivity.
     """
     _check_electrodes(scene, bodies, materials)
-    _check_contradictions(scene, bodies)
     found = [_joint(scene, bodies, joint) for joint in bodies.joints]
     return [text for text in [*found, _locking(scene, bodies, materials), _level(scene)] if text is not None]
 
@@ -47,34 +44,6 @@ def _check_electrodes(scene: Scene, bodies: BodyMesh, materials: list[Constituti
             found = f"{shown(getattr(row, given[0]))} on {shown(row.on)}, where no body has a permittivity"
             allowed = "a facet group of a body whose material has one; a metal is a body with a very large one"
             raise SceneError(f"boundaries[{index}].{given[0]}", found, allowed)
-
-
-def _check_contradictions(scene: Scene, bodies: BodyMesh) -> None:
-    """Raise SceneError for two boundaries that prescribe different values of one component on a facet."""
-    mesh = bodies.mesh
-    owned = mesh.topology.index_map(mesh.topology.dim - 1).size_local
-    values = [_prescribed(row) for row in scene.boundaries]
-    for index, row in enumerate(scene.boundaries):
-        for before, other in enumerate(scene.boundaries[:index]):
-            differ = [
-                name for name in values[index] if values[before].get(name, values[index][name]) != values[index][name]
-            ]
-            if not differ:
-                continue
-            common = np.intersect1d(bodies.facets[row.on], bodies.facets[other.on])
-            count = mesh.comm.allreduce(int((common < owned).sum()))
-            if count:
-                what = differ[0].partition(" ")[0]
-                found = f"another {differ[0]} on {shown(row.on)} than boundaries[{before}] on {shown(other.on)}"
-                allowed = "one value on each facet"
-                raise SceneError(f"boundaries[{index}].{what}", f"{found}; {count} facets belong to both", allowed)
-
-
-def _prescribed(row: Boundary) -> dict[str, tuple[float, str | None]]:
-    """Value and factor of each component that a row prescribes; a value of zero has no factor."""
-    given = {f"displacement {'xyz'[i]}": value for i, value in enumerate(row.displacement or [])}
-    given["potential"] = row.potential
-    return {name: (value, row.follows if value else None) for name, value in given.items() if value is not None}
 
 
 def _joint(scene: Scene, bodies: BodyMesh, joint: Joint) -> str | None:

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from piezomat.discretization.unknowns import Unknowns
-from piezomat.forms.arrays import Booleans
+from piezomat.forms.arrays import Booleans, Integers
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.scene.errors import SceneError, named, shown
 from piezomat.scene.scene import Scene
@@ -33,11 +33,11 @@ class ElectrodeNodes:
 
 
 def electrode_nodes(
-    scene: Scene, unknowns: Unknowns, bodies: BodyMesh, dielectric_node: Booleans, given: Booleans
+    scene: Scene, unknowns: Unknowns, bodies: BodyMesh, dielectric_node: Booleans, given: Integers
 ) -> list[ElectrodeNodes]:
     """The electrodes of a scene. Collective.
 
-    given (owned,): whether a boundary prescribes the potential of a node. SceneError: an electrode where no body has a
+    given (owned,): row of the boundary that prescribes the potential of a node, -1 for none. SceneError: an electrode where no body has a
     permittivity; nodes that two electrodes, or an electrode and a boundary with a potential, have in common.
     """
     comm = unknowns.comm
@@ -55,17 +55,17 @@ def electrode_nodes(
         if not comm.allreduce(bool(here.any()), op=MPI.LOR) and not members.planes:
             place = f"{named(electrode.on)}, where no body has a permittivity"
             raise SceneError(key, place, "facet groups or bodies whose material has one, or planes")
-        clash = owner[here].max(initial=-1), int(given[here].any())
-        other, potential = (comm.allreduce(value, op=MPI.MAX) for value in clash)
+        other, row = (comm.allreduce(int(rows[here].max(initial=-1)), op=MPI.MAX) for rows in (owner, given))
         if other >= 0:
             count = comm.allreduce(int((owner[here] == other).sum()))
             name = shown(scene.electrodes[other].name)
             same = f"{shown(electrode.name)}, which has {count} node{'s' * (count > 1)} in common with {name}"
             raise SceneError(key, same, "electrodes apart from each other; two that touch are one")
-        if potential:
-            count = comm.allreduce(int(given[here].sum()))
+        if row >= 0:
+            count = comm.allreduce(int((given[here] == row).sum()))
             have = "nodes have" if count > 1 else "node has"
-            same = f"{shown(electrode.name)}, of which {count} {have} a potential of [[boundaries]]"
+            where = f"boundaries[{row}] on {shown(scene.boundaries[row].on)}"
+            same = f"{shown(electrode.name)}, of which {count} {have} the potential of {where}"
             raise SceneError(key, same, "either an electrode or a boundary with a potential")
         owner[here] = number
         found.append(ElectrodeNodes(electrode, number, np.flatnonzero(here), members.planes))

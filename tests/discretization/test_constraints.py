@@ -10,12 +10,13 @@ from mpi4py import MPI
 
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
+from piezomat.scene import SceneError
 from tests.discretization.models import DEPTH, HEIGHT, WIDTH, blocks
 
 pytestmark = pytest.mark.mpi
 
 ROWS: list[dict[str, Any]] = [
-    {"on": "bottom", "displacement": [0, 0.5], "potential": 3.0},
+    {"on": "bottom", "displacement": ["free", 0.5], "potential": 3.0},
     {"on": "left", "displacement": [0.25, "free"], "follows": "push"},
 ]
 
@@ -30,19 +31,55 @@ def prescribed(model: Model, factors: dict[str, float]) -> tuple[Array, Array]:
     return values, unknowns.coordinates[: unknowns.owned]
 
 
-def test_values_follow_the_load_factor_and_the_first_row_wins(comm: MPI.Comm) -> None:
+def test_values_follow_the_load_factor(comm: MPI.Comm) -> None:
     model = blocks(comm, boundaries=ROWS, load={"steps": [1], "factors": {"push": [1.0]}})
     values, x = prescribed(model, {"push": 2.0})
     bottom = np.isclose(x[:, 1], 0.0)
-    left = np.isclose(x[:, 0], 0.0) & ~bottom
-    np.testing.assert_array_equal(values[bottom, :2], np.tile([0.0, 0.5], (bottom.sum(), 1)))
+    left = np.isclose(x[:, 0], 0.0)
+    np.testing.assert_array_equal(values[bottom, 1], 0.5)
     np.testing.assert_allclose(values[bottom, 2] * model.potential_scale, 3.0)
     np.testing.assert_array_equal(values[left, 0], 0.5)
-    assert np.isnan(values[left, 1]).all()
+    assert np.isnan(values[bottom & ~left, 0]).all() and np.isnan(values[left & ~bottom, 1]).all()
     free = ~bottom & ~left
     assert np.isnan(values[free, :2]).all()
     moves = model.constraints.fixed_displacements()
-    assert comm.allreduce(int(moves.sum())) == comm.allreduce(int(2 * bottom.sum() + left.sum()))
+    assert comm.allreduce(int(moves.sum())) == comm.allreduce(int(bottom.sum() + left.sum()))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize(
+    ("bottom", "left", "wrong"),
+    [
+        ({"displacement": [0, 0]}, {"displacement": [0.1, "free"]}, "displacement x"),
+        ({"displacement": [0, 0]}, {"displacement": ["free", 0.1], "follows": "push"}, "displacement y"),
+        ({"potential": 0}, {"potential": 5}, "potential"),
+        ({"potential": 5}, {"potential": 5, "follows": "push"}, "potential"),
+        ({"potential": 0}, {"potential": 0, "follows": "push"}, None),
+        ({"displacement": [0, 0]}, {"displacement": [0, "free"], "follows": "push"}, None),
+        ({"displacement": ["free", 0]}, {"displacement": [0.1, "free"], "potential": 5}, None),
+    ],
+)
+def test_rows_that_share_an_edge_agree_there(
+    comm: MPI.Comm, dimension: int, bottom: dict[str, Any], left: dict[str, Any], wrong: str | None
+) -> None:
+    """Sides of a block have no facet in common, but the node at a corner, or four along an edge."""
+    rows = [{"on": on, **row} for on, row in (("bottom", bottom), ("left", left))]
+    if dimension == 3:
+        # Across: x, y, up.
+        for row in rows:
+            if "displacement" in row:
+                row["displacement"] = [row["displacement"][0], "free", row["displacement"][1]]
+    load = {"steps": [1], "factors": {"push": [1.0]}} if "follows" in left else {}
+    if wrong is None:
+        assert blocks(comm, dimension, boundaries=rows, load=load)
+        return
+    if dimension == 3:
+        wrong = wrong.replace("y", "z")
+    nodes = "1 node belongs" if dimension == 2 else "4 nodes belong"
+    words = f'another {wrong} on "left" than boundaries.0. on "bottom"; {nodes} to both'
+    with pytest.raises(SceneError, match=words) as caught:
+        blocks(comm, dimension, boundaries=rows, load=load)
+    assert caught.value.key == f"boundaries[1].{wrong.split()[0]}"
 
 
 def test_without_a_permittivity_the_potential_is_fixed_at_zero(comm: MPI.Comm) -> None:

@@ -206,7 +206,7 @@ def test_boundaries_do_not_contradict_each_other_on_a_facet(
     scene = Scene(
         geometry={"file": str(path)},
         bodies={"body": "pvdf"},
-        boundaries=[{"on": "bottom", **bottom}, {"on": "sides", **sides}, {"on": "top", "displacement": [1, 1]}],
+        boundaries=[{"on": "bottom", **bottom}, {"on": "sides", **sides}, {"on": "top", "charge_density": 1.0}],
         load={"steps": [1], "factors": {"press": [1.0]}} if "follows" in sides else {},
     )
     if wrong is None:

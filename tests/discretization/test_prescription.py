@@ -12,7 +12,7 @@ from tests.discretization.models import blocks
 pytestmark = pytest.mark.mpi
 
 BOUNDARIES: list[dict[str, Any]] = [
-    {"on": "bottom", "displacement": [0, 0.1], "potential": -2.0},
+    {"on": "bottom", "displacement": ["free", 0.1], "potential": -2.0},
     {"on": "right", "displacement": [0.3, "free"], "follows": "push"},
 ]
 LID = {"name": "lid", "point": "top", "motion": [0, -0.4], "follows": "press"}

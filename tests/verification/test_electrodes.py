@@ -430,7 +430,8 @@ def test_a_wrong_electrode_is_an_error_of_the_scene(electrodes: list[dict[str, A
     ("electrodes", "words"),
     [
         ([{"name": "a", "on": ["top"]}, {"name": "b", "on": ["upper"]}], ("b", "node", '"a"')),
-        ([{"name": "a", "on": ["bottom"]}], ("a", "a potential of [[boundaries]]")),
+        ([{"name": "a", "on": ["bottom"]}], ("a", 'the potential of boundaries[0] on "bottom"')),
+        ([{"name": "a", "on": ["lower"]}], ("a", 'the potential of boundaries[0] on "bottom"')),
     ],
 )
 def test_electrodes_that_share_nodes_are_an_error(electrodes: list[dict[str, Any]], words: tuple[str, ...]) -> None:
