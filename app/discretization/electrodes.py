@@ -37,8 +37,10 @@ def electrode_nodes(
 ) -> list[ElectrodeNodes]:
     """The electrodes of a scene. Collective.
 
-    given (owned,): row of the boundary that prescribes the potential of a node, -1 for none. SceneError: an electrode where no body has a
-    permittivity; nodes that two electrodes, or an electrode and a boundary with a potential, have in common.
+    given (owned,): row of the boundary that prescribes the potential of a node, -1 for none
+
+    SceneError: an electrode where no body has a permittivity; nodes that two electrodes, or an electrode and a boundary
+    with a potential, have in common.
     """
     comm = unknowns.comm
     owner = np.full(unknowns.owned, -1)
