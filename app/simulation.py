@@ -192,7 +192,7 @@ class _Session:
             self._mesh_digest = stored.scalars.mesh or on_root(
                 self.comm, lambda: restart.sha256(self.out / CHECKPOINT / MESH)
             )
-            self._keep_state()
+            self._last_state = self.problem.copy_state()
             self._restore_last_step()
             self.results.resume(names, self.last_step, self.history, self._scene_text)
             folder.keep()
@@ -288,7 +288,7 @@ class _Session:
         self.last_step = step.number
         if self.problem.contact is not None:
             self._touched |= self.problem.contact.touching_bodies()
-        self._keep_state()
+        self._last_state = self.problem.copy_state()  # a later step may fail after some of its parts have converged
         if self.watch is not None:
             self.watch(self.problem, self.history[-1])
         if self.results is None:
@@ -302,22 +302,11 @@ class _Session:
             self._save_checkpoint()
             self.results.row(self.history[-1])
 
-    def _keep_state(self) -> None:
-        """Copy the state at the end of a step: a later step may fail after some of its parts have converged."""
-        self._kept_state = self.problem.state.copy()
-        contact = self.problem.contact
-        self._kept_contact = [p.snapshot() for p in contact.point_sets] if contact is not None else []
-
     def _restore_last_step(self) -> None:
         """Return to the end of the last step that converged as a whole, with contact evaluated there."""
         if self.last_step == 0:
             return
-        self._kept_state.copy(self.problem.state)
-        if self.problem.contact is not None:
-            for p, kept in zip(self.problem.contact.point_sets, self._kept_contact, strict=True):
-                p.restore(kept)
-            factors = {name: self.history[-1][f"factor:{name}"] for name in self.scene.load.factors}
-            self.problem.contact.move_planes(factors)
+        self.problem.restore(self._last_state)
         self.stepper.revisit()
         self.balance.restart_planes()
 

@@ -47,7 +47,8 @@ def stepper_of(scene: Scene, comm: MPI.Comm, before: Hook = nothing, after: Hook
     problem = Problem(model, interfaces_of(model), Timer())
     newton = Newton(problem, scene.solver)
     try:
-        yield Stepper(problem, Watched(newton, before, after), scene.solver.max_cutbacks)
+        tolerance = scene.contact.augment if scene.contact is not None else None
+        yield Stepper(problem, Watched(newton, before, after), scene.solver.max_cutbacks, tolerance)
     finally:
         newton.close()
         problem.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from piezomat.assembly.tangent_matrix import TangentMatrix
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
+from piezomat.discretization.state import ReadPoints, SavedHistory, State
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.usage import Timer, give_back_memory
@@ -44,6 +46,7 @@ class Problem:
     bulk, loads, circuits, stabilization: the other terms
     state: x
     converged_state: x_n
+    factors: load factors of the present load level
     prescribed_values (k,): of the fixed unknowns at the present load level, in the order of `Constraints.fixed`
     residual_with_reactions: R at the last `residual`; at fixed unknowns the reactions less the loads there
     stiffness_version: number of times that the tangent without contact has changed
@@ -61,6 +64,7 @@ class Problem:
         self.state = model.new_vector()
         self.converged_state = model.new_vector()
         self.residual_with_reactions = model.new_vector()
+        self.factors = dict.fromkeys(model.scene.load.factors, 0.0)
         self.prescribed_values = np.zeros(len(model.constraints.fixed))
         with timer("assembly"):
             self.bulk = Bulk(model)
@@ -98,12 +102,39 @@ class Problem:
             self.contact.move_planes(factors)
         self.prescribed_values = self.model.constraints.values(factors)
         self.loads.assemble()
+        self.factors = dict(factors)
 
     def begin_step(self, margin: float) -> None:
         """Take the present state for the converged one, and detect contact with a search radius `margin` (um)."""
         self.collect_garbage()
         self.state.copy(self.converged_state)
         self.pair(margin)
+
+    def return_to_converged_state(self) -> None:
+        """Give the unknowns the values of the last converged state; load level and histories stay."""
+        self.converged_state.copy(self.state)
+
+    def copy_state(self) -> State:
+        """The present unknowns and load level, with the histories of the last converged part of a step."""
+        histories = {} if self.contact is None else {"contact": self.contact.history()}
+        return State(self.state.array_r.copy(), self.factors, histories)
+
+    def restore(self, state: State) -> None:
+        """Return to a state. What is detected and evaluated is then still that of another one."""
+        self.state.array[:] = state.unknowns
+        self.set_loads(dict(state.factors))
+        if self.contact is not None:
+            self.contact.restore(state.histories["contact"])
+
+    def saved_histories(self) -> SavedHistory:
+        """The histories of the terms for a checkpoint."""
+        return SavedHistory() if self.contact is None else self.contact.saved()
+
+    def resume(self, factors: dict[str, float], read: ReadPoints, scalars: Mapping[str, float]) -> None:
+        """Take up a load level and the histories of a checkpoint; the unknowns are written to `state`."""
+        self.set_loads(factors)
+        if self.contact is not None:
+            self.contact.resume(read, scalars)
 
     def pair(self, margin: float) -> None:
         """Detect contact at the present state with a search radius `margin` (um); ends a static condensation."""

@@ -10,6 +10,7 @@ import numpy as np
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.terms import ContactTerms
+from piezomat.discretization.state import Points, ReadPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.augmentation import Multipliers, augmented_response
 from piezomat.forms.contact.gap import Projection
@@ -25,7 +26,7 @@ FAR_GAP = 1e30  # um; gap of a point without a closest point, for the energies o
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Points, history and multipliers at the end of a converged step."""
+    """Points, history and multipliers at the end of a converged step; none of them is changed any more."""
 
     points: SlavePoints
     history: History
@@ -88,7 +89,7 @@ class ContactPoints(ABC):
         self.history = History.virgin(len(self.points.weight))
         self.multipliers = Multipliers.none(self.slave.kind, len(self.slave))
         self.end_viscous_regularization()
-        self._converged = self.snapshot()
+        self._keep()
 
     @property
     @abstractmethod
@@ -169,11 +170,11 @@ class ContactPoints(ABC):
         self.history = self.law.on_loss_of_contact(self.history)
         self.history.touched[near] = advanced.touched
         self.history.opening[near] = advanced.opening
-        self._converged = self.snapshot()
+        self._keep()
 
     def snapshot(self) -> Snapshot:
-        """Copy of points, history and multipliers."""
-        return Snapshot(self.points, self.history.copy(), self.multipliers.copy())
+        """Points, history and multipliers of the last converged step."""
+        return self._converged
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot, as the end of the last converged step."""
@@ -181,13 +182,31 @@ class ContactPoints(ABC):
         self.history, self.multipliers = snapshot.history.copy(), snapshot.multipliers.copy()
         self._converged = snapshot
 
+    def saved(self, *, augmented: bool) -> Points:
+        """The history of the points for a checkpoint, and with augmentation the multipliers, by their keys."""
+        known = self.history.touched
+        points = {"opening": (self.keys()[known], self.history.opening[known][:, None])}
+        if augmented:
+            shifts = np.stack([self.multipliers.gap, self.multipliers.jump], axis=2)
+            points["shift"] = self.corner_keys(), shifts.reshape(-1, 2)
+        return points
+
+    def resume(self, read: ReadPoints, *, augmented: bool) -> None:
+        """Take up the history that a checkpoint holds. Collective."""
+        values, found = read("opening", self.keys(), 1)
+        self.history.touched[:] = found
+        self.history.opening[:] = np.where(found, values[:, 0], 0.0)
+        if augmented:
+            values, _ = read("shift", self.corner_keys(), 2)
+            self.multipliers.gap[:], self.multipliers.jump[:] = values.T.reshape(2, *self.multipliers.gap.shape)
+        self._keep()
+
+    def _keep(self) -> None:
+        self._converged = Snapshot(self.points, self.history.copy(), self.multipliers.copy())
+
     def set_multipliers(self, multipliers: Multipliers) -> None:
         """Take up the multipliers of a step of augmentation."""
         self.multipliers = multipliers
-
-    def restore_multipliers(self) -> None:
-        """Return to the multipliers of the last converged step: those of a solve that failed are worth nothing."""
-        self.multipliers = self._converged.multipliers.copy()
 
     def _set_points(self, points: SlavePoints) -> None:
         self.points = points

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from piezomat.contact.contact_points import ContactPoints
+from piezomat.contact.contact_points import ContactPoints, Snapshot
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.rigid_plane import RigidPlane
@@ -18,6 +19,7 @@ from piezomat.contact.search import ContactSearch
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.surface_pair import PenetratingNodes, SurfacePair
 from piezomat.contact.terms import ContactTerms
+from piezomat.discretization.state import ReadPoints, SavedHistory
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.meshes import parallel
@@ -33,6 +35,14 @@ CONSISTENT = 1e-2
 CONSISTENT_UNCONSTRAINED = 1e-3
 
 
+@dataclass(frozen=True)
+class ContactHistory:
+    """The history of all contact points at the end of a converged step, and their deepest penetration, um."""
+
+    snapshots: tuple[Snapshot, ...]
+    last_penetration: float
+
+
 class Interfaces:
     """All surface pairs and rigid planes of a run on this rank. Every method is collective.
 
@@ -41,6 +51,7 @@ class Interfaces:
     nodes: the nodes that this rank sees, after a detection
     state: nodal state of the last evaluation
     adhesive: whether there is adhesion
+    augmented: whether the multipliers belong to the history
     largest_penalty: MPa/um
     interaction_range: largest gap with a traction or a charge, um
     evaluation_failed: whether facets had collapsed at the last evaluation, on any rank
@@ -59,6 +70,8 @@ class Interfaces:
         pairs: Pairs,
         potential_scale: float | None,
         geodesic: PETSc.Vec | None = None,
+        *,
+        augmented: bool = False,
     ) -> None:
         """Contact in a function space whose nodes have these undeformed `coordinates`, a vector like the state.
 
@@ -67,6 +80,7 @@ class Interfaces:
         """
         self.comm = comm
         self.pairs = pairs
+        self.augmented = augmented
         self.surface_pairs = list(surface_pairs)
         self.planes = list(planes)
         self.point_sets: list[ContactPoints] = [*self.surface_pairs, *self.planes]
@@ -264,10 +278,37 @@ class Interfaces:
         for p in self.point_sets:
             p.commit()
 
-    def restore_multipliers(self) -> None:
-        """Return to the multipliers of the last converged step, after a solve that failed."""
+    def history(self) -> ContactHistory:
+        """The history at the end of the last converged step."""
+        return ContactHistory(tuple(p.snapshot() for p in self.point_sets), self.last_penetration)
+
+    def restore(self, history: ContactHistory) -> None:
+        """Return to an earlier history; multipliers and points of a solve that failed are worth nothing."""
+        self.last_penetration = history.last_penetration
+        for p, snapshot in zip(self.point_sets, history.snapshots, strict=True):
+            p.restore(snapshot)
+
+    def saved(self) -> SavedHistory:
+        """The history for a checkpoint."""
+        each = [p.saved(augmented=self.augmented) for p in self.point_sets]
+        points = {}
+        for name in dict.fromkeys(name for found in each for name in found):
+            keys, values = zip(*(found[name] for found in each if name in found), strict=True)
+            points[name] = np.concatenate(keys), np.concatenate(values)
+        return SavedHistory(points, {"penetration": self.last_penetration, "places": float(self._points_per_facet())})
+
+    def resume(self, read: ReadPoints, scalars: Mapping[str, float]) -> None:
+        """Take up the history that a checkpoint holds, whatever ranks wrote it."""
+        self.last_penetration = scalars["penetration"]
+        for p in self.surface_pairs:
+            p.resume_points(read, int(scalars["places"]))
         for p in self.point_sets:
-            p.restore_multipliers()
+            p.resume(read, augmented=self.augmented)
+
+    def _points_per_facet(self) -> int:
+        """Largest number of points of a facet of the surface pairs."""
+        most = max((int(p.points.place.max(initial=-1)) for p in self.surface_pairs), default=-1)
+        return self.comm.allreduce(most + 1, op=MPI.MAX)
 
     def start_viscous_regularization(self, share: float) -> None:
         """Resist the opening of bonds from the last evaluation on, with `share` times their steepest softening.
@@ -310,11 +351,6 @@ class Interfaces:
         if self.pairs.listed or not self.surface_pairs:
             return f"{len(self.pairs.listed)} contact pairs{planes}"
         return f"contact between any of {len(self.pairs.bodies)} bodies{planes}"
-
-    def points_per_facet(self) -> int:
-        """Largest number of points of a facet of the surface pairs."""
-        most = max((int(p.points.place.max(initial=-1)) for p in self.surface_pairs), default=-1)
-        return self.comm.allreduce(most + 1, op=MPI.MAX)
 
     def touching_bodies(self) -> set[int]:
         """Numbers of the bodies in contact with others or with planes at the last evaluation."""

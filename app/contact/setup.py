@@ -55,7 +55,8 @@ def interfaces_of(model: Model) -> Interfaces | None:
     planes = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
     geodesic = _geodesic(model, thickness) if thickness is not None else None
-    return Interfaces(model.comm, model.unknowns.space, x, surface_pairs, planes, pairs, scale, geodesic)
+    given = model.comm, model.unknowns.space, x, surface_pairs, planes, pairs, scale, geodesic
+    return Interfaces(*given, augmented=keys is not None and keys.augment is not None)
 
 
 def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:

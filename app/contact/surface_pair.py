@@ -13,6 +13,7 @@ from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.terms import ContactTerms
+from piezomat.discretization.state import Points, ReadPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import project
@@ -172,19 +173,24 @@ class SurfacePair(ContactPoints):
         slide = np.abs(project(facets.kind, points, nodes, orientation, xi).xi - xi).max(initial=0.0)
         return bool(slide > CUT_DRIFT or self._uncut[rows].any())
 
-    def possible_keys(self, points_per_facet: int) -> Integers:
-        """Keys (f * points_per_facet, 4) of all points that the slave facets could have."""
-        facet, place = np.divmod(np.arange(len(self.slave) * points_per_facet), points_per_facet)
-        return self._keys(facet, place)
+    # --- Checkpoints ---
 
-    def restore_points(self, xi: Array, found: Booleans, points_per_facet: int) -> None:
-        """Take up the points with these coordinates, of all `possible_keys` those that are `found`.
+    def saved(self, *, augmented: bool) -> Points:
+        """See `ContactPoints.saved`; of segments also where points lie, which follows from states before this one."""
+        places = {"place": (self.keys(), self.points.xi)} if self.segments else {}
+        return super().saved(augmented=augmented) | places
 
-        Their weights come with the next cut.
+    def resume_points(self, read: ReadPoints, points_per_facet: int) -> None:
+        """Take up the points of segments that a checkpoint holds, their weights left to the next cut. Collective.
+
+        points_per_facet: largest number of points of a facet.
         """
-        facet, place = np.divmod(np.flatnonzero(found), points_per_facet)
-        none = np.zeros(len(facet))
-        self._set_points(SlavePoints(facet, place, xi[found], self.slave.kind.shape(xi[found]), none, none))
+        if not self.segments:
+            return
+        facet, place = np.divmod(np.arange(len(self.slave) * points_per_facet), points_per_facet)
+        xi, found = read("place", self._keys(facet, place), self.points.xi.shape[1])
+        facet, place, xi, none = facet[found], place[found], xi[found], np.zeros(found.sum())
+        self._set_points(SlavePoints(facet, place, xi, self.slave.kind.shape(xi), none, none))
         self.history = History.virgin(len(facet))
 
     # --- Evaluation ---

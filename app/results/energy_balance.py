@@ -36,6 +36,11 @@ class EnergyBalance:
         """Take the planes' forces at the last evaluation of contact as the start of the next part."""
         self.planes = self._plane_values()
 
+    def resume(self, external_work: float, stabilization_work: float, forces: Array) -> None:
+        """Take up what a checkpoint holds: works, and forces (owned nodes, block)."""
+        self.external_work, self.stabilization_work = external_work, stabilization_work
+        self.problem.model.unknowns.set_by_node(self.forces, forces)
+
     def add_part(self, snap_through_work: Array | None = None) -> None:
         """Add the part of a step that has just converged.
 

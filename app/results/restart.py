@@ -9,32 +9,28 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from piezomat import __version__
 from piezomat.assembly.problem import Problem
-from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array
 from piezomat.meshes.parallel import on_root
 from piezomat.results import checkpoint
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.folder import CHECKPOINT, MESH
-from piezomat.results.quantities import augments
 from piezomat.results.run_scene import check_unchanged
 from piezomat.scene import Scene
 from piezomat.scene.errors import dotted
 from piezomat.solver.load_steps import Stepper
 
-Points = dict[str, tuple[NDArray[np.int64], Array]]
-
 
 class Scalars(BaseModel):
-    """What a checkpoint holds beside nodal values and contact points; of an older version without the last five.
+    """What a checkpoint holds beside nodal values and contact points; of an older version without the last seven.
 
     scene: the scene of the run as TOML. mesh: SHA-256 of its mesh file. version: of piezomat that has written it.
     references: unknowns of the electrodes' reference nodes. capacitance: matrices of the electrodes after each step.
+    of_terms: numbers in the histories of the terms, which an older version has beside the others.
     """
 
     model_config = ConfigDict(strict=True, frozen=True)
@@ -42,15 +38,22 @@ class Scalars(BaseModel):
     history: list[dict[str, int | float | str]]
     size: float
     motion: float
-    penetration: float
-    places: int
     external_work: float
     stabilization: float
     scene: str | None = None
     mesh: str | None = None
     version: str = "0.1.0 or older"
     references: list[float] = []
+    stabilization_factor: float | None = None
+    of_terms: dict[str, float] = {}
     capacitance: list[list[list[float]]] = []
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_older_version(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or "of_terms" in data:
+            return data
+        return data | {"of_terms": {name: data[name] for name in ("penetration", "places") if name in data}}
 
 
 def save(
@@ -68,18 +71,17 @@ def save(
 
     capacitance, scene, mesh: see `Scalars`. Raises what `checkpoint.save` does.
     """
-    model, contact, ties = problem.model, problem.contact, problem.model.constraints.ties
+    model, ties = problem.model, problem.model.constraints.ties
     ids = _node_ids(model)
     nodal = {
         "state": (ids, model.unknowns.by_node(problem.state)),
         "forces": (ids, model.unknowns.by_node(balance.forces)),
     }
+    histories = problem.saved_histories()
     scalars = {
         "history": history,
-        "size": stepper.size,
-        "motion": stepper.last_motion,
-        "penetration": contact.last_penetration if contact is not None else 0.0,
-        "places": contact.points_per_facet() if contact is not None else 0,
+        **stepper.saved(),
+        "of_terms": histories.scalars,
         "external_work": balance.external_work,
         "stabilization": balance.stabilization_work,
         "scene": scene,
@@ -88,8 +90,7 @@ def save(
         "capacitance": capacitance,
         "references": ties.values(problem.state).tolist() if ties else [],
     }
-    points = _points(contact, augmented=augments(model)) if contact is not None else {}
-    checkpoint.save(problem.comm, folder, step, nodal, points, scalars)
+    checkpoint.save(problem.comm, folder, step, nodal, histories.points, scalars)
 
 
 def find(comm: MPI.Comm, out: Path, scene: Scene) -> checkpoint.Checkpoint:
@@ -121,19 +122,21 @@ def restore(stored: checkpoint.Checkpoint, problem: Problem, stepper: Stepper, b
 
     What an evaluation computes is left out. CheckpointError: the checkpoint does not fit the problem.
     """
-    model, contact = problem.model, problem.contact
+    model = problem.model
     scalars: Scalars = stored.scalars
     ids, width = _node_ids(model), model.unknowns.block
-    for vector, name in ((problem.state, "state"), (balance.forces, "forces")):
-        model.unknowns.set_by_node(vector, stored.nodal(name, ids, width))
+    state, forces = (stored.nodal(name, ids, width) for name in ("state", "forces"))
+    model.unknowns.set_by_node(problem.state, state)
     if len(scalars.references) == len(model.constraints.electrodes):
         model.constraints.ties.set_values(problem.state, scalars.references)
-    balance.external_work = scalars.external_work
-    balance.stabilization_work = scalars.stabilization
-    stepper.size = scalars.size
-    stepper.last_motion = scalars.motion
-    if contact is not None:
-        _restore_contact(contact, stored, augmented=augments(model))
+    last = scalars.history[-1] if scalars.history else {}
+    factors = {name: last.get(f"factor:{name}", 0.0) for name in model.scene.load.factors}
+    try:
+        problem.resume(factors, stored.points, scalars.of_terms)
+    except KeyError as error:  # the same on all ranks
+        raise checkpoint.CheckpointError(f"{stored.path} has no number {error} of the terms' histories") from None
+    balance.resume(scalars.external_work, scalars.stabilization, forces)
+    stepper.resume(scalars.size, scalars.motion, scalars.stabilization_factor)
 
 
 def sha256(path: Path) -> str:
@@ -152,41 +155,6 @@ def _checked(step: int, scalars: Any) -> Scalars:
     if [row.get("step") for row in found.history] != list(range(1, step + 1)):
         raise ValueError(f"its history is not that of {step} steps")
     return found
-
-
-def _points(contact: Interfaces, *, augmented: bool) -> Points:
-    """History and multipliers of contact points, by their keys."""
-    known = [p.history.touched for p in contact.point_sets]
-    keys = np.concatenate([p.keys()[k] for p, k in zip(contact.point_sets, known, strict=True)])
-    opening = np.concatenate([p.history.opening[k] for p, k in zip(contact.point_sets, known, strict=True)])
-    points = {"opening": (keys, opening[:, None])}
-    if augmented:
-        shifts = [np.stack([p.multipliers.gap, p.multipliers.jump], axis=2).reshape(-1, 2) for p in contact.point_sets]
-        points["shift"] = (np.concatenate([p.corner_keys() for p in contact.point_sets]), np.concatenate(shifts))
-    if contact.has_segments:
-        # Where pieces lie follows from states before this one.
-        points["place"] = (
-            np.concatenate([p.keys() for p in contact.surface_pairs]),
-            np.concatenate([p.points.xi for p in contact.surface_pairs]),
-        )
-    return points
-
-
-def _restore_contact(contact: Interfaces, stored: checkpoint.Checkpoint, *, augmented: bool) -> None:
-    scalars: Scalars = stored.scalars
-    contact.last_penetration = scalars.penetration
-    for p in contact.surface_pairs:
-        if p.segments:
-            every = p.possible_keys(scalars.places)
-            width = p.points.xi.shape[1]
-            p.restore_points(*stored.points("place", every, width), scalars.places)
-    for p in contact.point_sets:
-        values, found = stored.points("opening", p.keys(), 1)
-        p.history.touched[:] = found
-        p.history.opening[:] = np.where(found, values[:, 0], 0.0)
-        if augmented:
-            values, _ = stored.points("shift", p.corner_keys(), 2)
-            p.multipliers.gap[:], p.multipliers.jump[:] = values.T.reshape(2, *p.multipliers.gap.shape)
 
 
 def _node_ids(model: Model) -> NDArray[np.int64]:

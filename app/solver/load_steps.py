@@ -115,6 +115,20 @@ class Stepper:
         self.size = 1.0
         self.last_motion = 0.0
 
+    def saved(self) -> dict[str, float]:
+        """What the next step depends on beside the problem's state, for a checkpoint."""
+        return {
+            "size": self.size,
+            "motion": self.last_motion,
+            "stabilization_factor": self.problem.stabilization.factor,
+        }
+
+    def resume(self, size: float, motion: float, stabilization_factor: float | None) -> None:
+        """Take up what `saved` has given; None: a factor that is not known."""
+        self.size, self.last_motion = size, motion
+        if stabilization_factor is not None:
+            self.problem.set_stabilization(stabilization_factor)
+
     def advance(self, step: Step, committed: Callable[[StepReport], None]) -> StepReport:
         """Take the step, in parts if need be; `committed(report so far)` is called after each part that converged.
 
@@ -157,6 +171,7 @@ class Stepper:
         before: load level of the last converged state, None for the undeformed bodies. viscosity: of the bonds.
         """
         problem = self.problem
+        start = problem.copy_state()
         problem.set_loads(after)
         prescribed = problem.model.prescription.motion(after, before)
         search_radius = self.search_radius(prescribed)
@@ -167,9 +182,7 @@ class Stepper:
         try:
             self._solve(search_radius, prescribed, report)
         except (SolveError, StepAbandoned):
-            problem.converged_state.copy(problem.state)
-            if problem.contact is not None:
-                problem.contact.restore_multipliers()
+            problem.restore(start)
             raise
         self.last_motion = problem.motion()
         report.snap_through_work = snap_through_work(problem)

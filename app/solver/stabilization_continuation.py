@@ -59,7 +59,7 @@ class StabilizationContinuation:
             if not (problem.loads.exist or problem.model.has_unconstrained_bodies):
                 raise
             log.info("loose bodies: %s", error)
-        problem.converged_state.copy(problem.state)
+        problem.return_to_converged_state()
         problem.pair(search_radius)
         if problem.loads.exist:
             self._reduce(search_radius, prescribed, report)
