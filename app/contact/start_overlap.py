@@ -7,7 +7,7 @@ import numpy as np
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.discretization.model import Model
-from piezomat.forms.arrays import Booleans
+from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.contact.facets import Facets
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.facet_bounds import near_points
@@ -37,12 +37,25 @@ def start_overlap(model: Model, contact: Interfaces) -> float:
     body = Facets(outside.kind, nodes.reference[nodes.places(masters.nodes)], masters.orientation, masters.key)
     middles = position.mean(axis=1)
     near = CandidatePairs.near(middles, component, body.nodes, masters.component, margin, rule)
+    boxes = _boxes(model)
     may_meet, deepest = _may_meet(model, contact), 0.0
     for number, facets, points in zip(near.component, near.facets, near.points, strict=True):
-        points = points[may_meet[part[points], rule.body(number)]]
+        other = rule.body(number)
+        points = points[may_meet[part[points], other]]
+        within = (middles[points] > boxes[0, other]) & (middles[points] < boxes[1, other])
+        points = points[within.all(axis=1)]
         points = points[near_points(middles[points], body.nodes[facets], margin)]
         deepest = max(deepest, deepest_overlap(middles[points], body[facets]))
     return float(parallel.largest(model.comm, np.array([deepest]))[0])
+
+
+def _boxes(model: Model) -> Array:
+    """Low and high ends (2, parts, d) of the connected parts, um. Collective."""
+    x, part = model.unknowns.coordinates, model.parts.node_part
+    low, high = np.full((2, len(model.parts), model.dim), [[[np.inf]], [[-np.inf]]])
+    np.minimum.at(low, part, x)
+    np.maximum.at(high, part, x)
+    return np.stack([parallel.least(model.comm, low), parallel.largest(model.comm, high)])
 
 
 def _may_meet(model: Model, contact: Interfaces) -> Booleans:
