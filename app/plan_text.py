@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
+from piezomat.contact.cohesive_zone import coarse_cohesive_zone
 from piezomat.contact.interface_laws import FADE
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
@@ -36,7 +37,8 @@ def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
         ("linear solver", _linear_solver(scene.solver, model)),
         ("memory", f"about {_memory_mb(scene.solver, model):.0f} MB over all ranks"),
     ]
-    lines += [("warning", text) for text in model.warnings]
+    doubts = [*model.warnings, coarse_cohesive_zone(model, contact)]
+    lines += [("warning", text) for text in doubts if text is not None]
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 

@@ -17,11 +17,10 @@ from mpi4py import MPI
 
 from piezomat import __version__, environment
 from piezomat.assembly.problem import Problem
+from piezomat.contact.cohesive_zone import coarse_cohesive_zone
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.short_circuit import short_circuit
 from piezomat.contact.start_checks import check_start
-from piezomat.contact.unseen_penetration import new_warnings
-from piezomat.contact.untouched_bodies import untouched_bodies
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
 from piezomat.meshes.body_mesh import BodyMesh, Partition
@@ -36,6 +35,7 @@ from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.files import OutputError, Results
 from piezomat.results.folder import CHECKPOINT, MESH, RunFolder
 from piezomat.results.quantities import columns, pair_columns, pair_rows, row
+from piezomat.results.run_doubts import RunDoubts
 from piezomat.results.run_mesh import mesh_of_run
 from piezomat.results.run_scene import text_of
 from piezomat.results.summary import summary, summary_values
@@ -159,8 +159,7 @@ class _Session:
         self.summary: dict[str, Any] = {}
         self.history: list[dict[str, Any]] = []
         self.capacitance: list[list[list[float]]] = []
-        self._touched: set[int] = set()
-        self._doubted: set[int] = set()
+        self._doubts = RunDoubts(self.problem, lambda: self._field_output().piece())
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
         self._scene_text = text_of(self.scene)
@@ -221,8 +220,9 @@ class _Session:
             for note in environment.notes():
                 log.warning("%s", note)
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
-            for text in self.model.warnings:
-                progress.warn(text)
+            for text in [*self.model.warnings, coarse_cohesive_zone(self.model, self.problem.contact)]:
+                if text is not None:
+                    progress.warn(text)
             for step in todo:
                 if stop.requested():
                     failure = self._interrupted("")
@@ -239,18 +239,14 @@ class _Session:
                     break
                 self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
-                for text in new_warnings(self.problem.contact, self._doubted):
+                for text in self._doubts.step(step.number):
                     progress.warn(text)
                 if report.is_erratic:
                     erratic.append(str(step.number))
             if erratic:
                 progress.warn(ERRATIC.format(steps=named(erratic)))
-            if self.history and self.problem.contact is not None:
-                untouched = untouched_bodies(self.model, self._touched)
-                if untouched:
-                    progress.warn(
-                        f"held by weak springs alone, these bodies never touched anything: {named(untouched)}"
-                    )
+            for text in self._doubts.end(self.history):
+                progress.warn(text)
         if failure is not None:
             reason = str(failure)
             log.error("%s", reason)
@@ -286,8 +282,6 @@ class _Session:
         if (matrix := capacitance()) is not None:
             self.capacitance.append(matrix.tolist())
         self.last_step = step.number
-        if self.problem.contact is not None:
-            self._touched |= self.problem.contact.touching_bodies()
         self._last_state = self.problem.copy_state()  # a later step may fail after some of its parts have converged
         if self.watch is not None:
             self.watch(self.problem, self.history[-1])
@@ -330,10 +324,13 @@ class _Session:
         if contact is not None and contact.surface_pairs:
             self.results.pairs(self.last_step, pair_columns(self.model), pair_rows(contact, self.model))
 
-    def _write_fields(self) -> None:
+    def _field_output(self) -> FieldOutput:
         if self._fields is None:
             self._fields = FieldOutput(self.problem)
-        self.results.fields(self.last_step, float(self.last_step), self._fields.piece())
+        return self._fields
+
+    def _write_fields(self) -> None:
+        self.results.fields(self.last_step, float(self.last_step), self._field_output().piece())
         if self.problem.contact is not None:
             points = contact_points(self.problem.contact, self.model)
             self.results.contact(self.last_step, points, float(self.last_step))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
+from piezomat.discretization.plausibility import implausible
 from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.gmsh_io.mesh_file import KEY, MeshFile
@@ -25,6 +26,7 @@ def doubts(scene: Scene, bodies: BodyMesh, materials: list[ConstitutiveLaw]) -> 
     """
     _check_electrodes(scene, bodies, materials)
     found = [_joint(scene, bodies, joint) for joint in bodies.joints]
+    found += implausible(scene, bodies, materials)
     return [text for text in [*found, _locking(scene, bodies, materials), _level(scene)] if text is not None]
 
 

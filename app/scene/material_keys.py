@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import Material, permittivity_matrix, piezo_matrix
@@ -108,3 +108,11 @@ class MaterialKeys(Keys):
             missing = "poisson" if self.poisson is None else "young"
             raise SceneError(missing, f"none, and {self.like} is not isotropic", "young and poisson together")
         return Material.isotropic(self.young or modulus, ratio if self.poisson is None else self.poisson).stiffness
+
+
+# A name that Python keeps for itself, so that it cannot stand in the class above.
+MaterialKeys = create_model(
+    "MaterialKeys",
+    __base__=MaterialKeys,
+    **{"yield": (Positive | None, Field(None, description="yield stress, MPa: a run warns where stresses are beyond"))},
+)
