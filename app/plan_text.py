@@ -30,6 +30,7 @@ def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
         ("contact", _contact(scene.contact, model, contact)),
         *_electric(scene.contact, model, contact),
         ("adhesion", _adhesion(scene.contact)),
+        *_rigid(scene),
         *_planes(scene),
         *_electrodes(model),
         ("load", _load(scene.load)),
@@ -131,6 +132,12 @@ def _electric(keys: Contact | None, model: Model, contact: Interfaces | None) ->
     return [("electric contact", text)]
 
 
+def _rigid(scene: Scene) -> list[tuple[str, str]]:
+    rows = [row for row in scene.boundaries if row.rigid]
+    notes = [f"{row.on} (force {row.force}{f' times {row.follows}' if row.follows else ''})" for row in rows]
+    return [("move as one", ", ".join(notes))] if notes else []
+
+
 def _planes(scene: Scene) -> list[tuple[str, str]]:
     notes = []
     owner = {name: row.name for row in scene.electrodes for name in scene.members(row).planes}
@@ -141,6 +148,8 @@ def _planes(scene: Scene) -> list[tuple[str, str]]:
         if plane.potential_follows is not None:
             kind += f" times {plane.potential_follows}"
         moves = "at rest" if plane.motion is None else f"moves by {plane.motion}"
+        if plane.is_pushed:
+            moves = f"pushed by {scene.push(plane)[1]:.4g} uN{'/um' if scene.dimension == 2 else ''}"
         notes.append(f"{plane.name} ({kind}, {moves}{f' times {plane.follows}' if plane.follows else ''})")
     return [("planes", ", ".join(notes))] if notes else []
 

@@ -27,22 +27,22 @@ class Circuits:
         # Charges are minus the residual, potentials are scaled: see `Model.potential_scale`.
         self._scale = model.potential_scale if model.potential_scale is not None else 1.0
         self._tangent = -(self._scale**2) * self.matrix
-        self._ties = model.constraints.ties
+        self._potentials = model.constraints.potentials
         self._holds_references = model.unknowns.references_here > 0
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add the tangent to a matrix that is still to be assembled. Collective."""
         if not self.exist or not self._holds_references:
             return
-        numbers = self._ties.references.astype(PETSc.IntType)
+        numbers = self._potentials.numbers.astype(PETSc.IntType)
         matrix.setValues(numbers, numbers, self._tangent, addv=PETSc.InsertMode.ADD_VALUES)
 
     def add_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Add the charges that the circuits hold at x. Collective."""
         if not self.exist:
             return
-        self._ties.add_values(result, self._tangent @ self._ties.values(x))
+        self._potentials.add_values(result, self._tangent @ self._potentials.values(x))
 
     def charges(self, x: PETSc.Vec) -> Array:
         """Charges (electrodes,) that have flowed into the circuits at x, pC (2D: per um of depth). Collective."""
-        return self._scale * self.matrix @ self._ties.values(x)
+        return self._scale * self.matrix @ self._potentials.values(x)

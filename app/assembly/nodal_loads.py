@@ -27,7 +27,8 @@ class NodalLoads:
         self._form = None if form.empty() else dolfinx.fem.form(form)
         self._tangent_form = dolfinx.fem.form(tangent) if self.follow_state else None
         self._charged = any(row.charge is not None for row in model.scene.electrodes)
-        self.exist = self._form is not None or self._charged
+        self._pushed = len(model.constraints.motions) > 0
+        self.exist = self._form is not None or self._charged or self._pushed
 
     def assemble(self) -> None:
         """Evaluate `vector` at the trial state of the model."""
@@ -35,7 +36,9 @@ class NodalLoads:
         if self._form is not None:
             model.assemble_vector(self._form, self.vector)
         if self._charged:
-            model.constraints.ties.set_values(self.vector, model.potential_scale * model.loads.charges)
+            model.constraints.potentials.set_values(self.vector, model.potential_scale * model.loads.charges)
+        if self._pushed:
+            model.constraints.motions.set_values(self.vector, -model.loads.forces)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add their tangent at the trial state of the model to a matrix that is still to be assembled."""

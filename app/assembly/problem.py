@@ -16,6 +16,7 @@ from piezomat.assembly.nodal_loads import NodalLoads
 from piezomat.assembly.stabilization_stiffness import StabilizationStiffness
 from piezomat.assembly.tangent_matrix import TangentMatrix
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.pushed_planes import free_travels
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
 from piezomat.discretization.state import ReadPoints, SavedHistory, State
@@ -38,9 +39,10 @@ class Problem:
 
     The state x solves, where it is not fixed,
 
-        R(x) = R_bulk(x) + R_loads(x) + R_contact(x) + s G (x - x_n) = 0,
+        R(x) = R_bulk(x) + R_loads(x) + R_contact(x) + s G (x - x_a) = 0,
 
-    G being the stabilization stiffness with its factor s, and x_n the last converged state.
+    G being the stabilization stiffness with its factor s, and x_a the last converged state x_n, or where springs have
+    been let go.
 
     model, contact: what is solved; contact is None without interfaces
     bulk, loads, circuits, stabilization: the other terms
@@ -70,7 +72,7 @@ class Problem:
             self.bulk = Bulk(model)
             self.loads = NodalLoads(model)
             self.circuits = Circuits(model)
-            self.stabilization = StabilizationStiffness(model, self.converged_state)
+            self.stabilization = StabilizationStiffness(model)
             self._stiffness = self.bulk.new_matrix()  # all but contact
             self._assemble_stiffness()
         self._matrix: TangentMatrix | None = None
@@ -104,15 +106,31 @@ class Problem:
         self.loads.assemble()
         self.factors = dict(factors)
 
-    def begin_step(self, margin: float) -> None:
-        """Take the present state for the converged one, and detect contact with a search radius `margin` (um)."""
+    def begin_step(self, margin: float, *, approach: bool = True) -> None:
+        """Take the present state for the converged one, and detect contact with a search radius `margin` (um).
+
+        approach: move planes that a force pushes and that touch nothing up to the bodies, which takes no force.
+        """
         self.collect_garbage()
-        self.state.copy(self.converged_state)
         self.pair(margin)
+        if approach:
+            self._approach(margin)
+        self.state.copy(self.converged_state)
+        self.stabilization.start(self.converged_state)
+
+    def _approach(self, margin: float) -> None:
+        travels = self.model.constraints.travels
+        if self.contact is None or not len(travels):
+            return
+        free = free_travels(self.contact) * (self.model.loads.forces[-len(travels) :] > 0.0)
+        if free.any():
+            travels.add_values(self.state, free)
+            self.pair(margin)
 
     def return_to_converged_state(self) -> None:
         """Give the unknowns the values of the last converged state; load level and histories stay."""
         self.converged_state.copy(self.state)
+        self.stabilization.start(self.converged_state)
 
     def copy_state(self) -> State:
         """The present unknowns and load level, with the histories of the last converged part of a step."""
@@ -301,6 +319,12 @@ class Problem:
         displacements = self.model.unknowns.displacements
         change = displacements(self.state) - displacements(self.converged_state if since is None else since)
         return self.comm.allreduce(float(np.abs(change).max(initial=0.0)), op=MPI.MAX)
+
+    def travel(self, since: PETSc.Vec | None = None) -> float:
+        """Longest travel of a plane by force since an earlier state, or the last converged one, um."""
+        travels = self.model.constraints.travels
+        change = travels.values(self.state) - travels.values(self.converged_state if since is None else since)
+        return float(np.abs(change).max(initial=0.0))
 
     def solution(self) -> Function:
         """The state as a Function, ghosts included, until forms are evaluated at another state."""

@@ -1,7 +1,8 @@
 """Stabilization stiffness: weak springs on the parts that only contact holds, without which the tangent is singular.
 
-A spring at each unknown of such a part pulls it back to the last converged state, so that it does work in a step and
-bears nothing that lasts. The potential of an open electrode that consists of planes has one too.
+A spring at each unknown of such a part pulls it back to where it was, at first the last converged state, so that it
+does work in a step and bears nothing that lasts. The potential of an open electrode that consists of planes has one
+too, and the travel of a plane by force.
 """
 
 from __future__ import annotations
@@ -21,22 +22,34 @@ RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the p
 
 
 class StabilizationStiffness:
-    """Springs of the unconstrained parts of a model: force factor * stiffness * (x - x_n). Every method is collective.
+    """Springs of the unconstrained parts of a model: force factor * stiffness * (x - x_a). Every method is collective.
 
     is_active: whether there are springs
     factor: by how much they are stronger than weak ones, see `piezomat.solver.stabilization_continuation`
     """
 
-    def __init__(self, model: Model, converged_state: PETSc.Vec) -> None:
-        """converged_state: x_n, read when forces are evaluated."""
+    def __init__(self, model: Model) -> None:
         self._unknowns, self._comm = model.unknowns, model.comm
-        self._converged_state = converged_state
         self.factor = 1.0
         held_by_planes = _held_by_planes(model)
-        self.is_active = bool(model.unconstrained.any() or held_by_planes.any())
+        pushed = len(model.constraints.travels) > 0
+        self.is_active = bool(model.unconstrained.any() or held_by_planes.any() or pushed)
         if self.is_active:
+            self._anchor = model.new_vector()
+            self._work_before = 0.0  # at earlier anchors
             self._stiffness = _stiffness(model, held_by_planes)
             self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
+
+    def start(self, x: PETSc.Vec) -> None:
+        """Let the springs pull back to the last converged state x, their work being none."""
+        if self.is_active:
+            x.copy(self._anchor)
+            self._work_before = 0.0
+
+    def release(self, x: PETSc.Vec) -> None:
+        """Let the springs go: from now on they pull back to x, where they bear nothing."""
+        self._work_before = self.work(x)
+        x.copy(self._anchor)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
         """Add the springs to the diagonal of an assembled matrix."""
@@ -49,10 +62,10 @@ class StabilizationStiffness:
         self.factor = factor
 
     def add_residual(self, x: PETSc.Vec | None, result: PETSc.Vec) -> None:
-        """Add the springs' residual at x; without x its constant part, -factor * stiffness * x_n."""
+        """Add the springs' residual at x; without x its constant part, -factor * stiffness * x_a."""
         if not self.is_active:
             return
-        self._converged_state.copy(self._work)
+        self._anchor.copy(self._work)
         if x is not None:
             self._work.axpy(-1.0, x)
         self._work.pointwiseMult(self._stiffness, self._work)
@@ -62,17 +75,17 @@ class StabilizationStiffness:
         """Work of the springs from the last converged state to x, pJ."""
         if not self.is_active:
             return 0.0
-        change = x.array_r - self._converged_state.array_r
+        change = x.array_r - self._anchor.array_r
         work = self.factor * self._stiffness.array_r * change**2
-        return self._comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
+        return self._work_before + self._comm.allreduce(float(np.abs(work).sum()), op=MPI.SUM)
 
     def load_share(self, x: PETSc.Vec, loads: PETSc.Vec) -> float:
         """Sum of the forces of springs of factor 1 at x over that of the loads; 0 without springs or loads."""
-        displacements = self._unknowns.displacements
+        displacements = self._unknowns.all_displacements
         total = self._comm.allreduce(float(np.abs(displacements(loads)).sum()), op=MPI.SUM)
         if not self.is_active or total == 0.0:
             return 0.0
-        change = displacements(x) - displacements(self._converged_state)
+        change = displacements(x) - displacements(self._anchor)
         force = displacements(self._stiffness) * change
         return self._comm.allreduce(float(np.abs(force).sum()), op=MPI.SUM) / total
 
@@ -96,10 +109,10 @@ def _stiffness(model: Model, held_by_planes: Booleans) -> PETSc.Vec:
     springs = model.new_vector()
     test = ufl.TestFunction(model.unknowns.space)
     model.assemble_vector(dolfinx.fem.form(stabilization_form(test, strength)), springs)
-    if model.electric:
-        # Of an electrode as large as the model, whose stiffness is `model.stiffness` in units of the potential too.
-        weak = RELATIVE_STIFFNESS * model.stiffness * model.parts.volume / model.parts.size.max() ** 2
-        model.constraints.ties.add_values(springs, -weak * held_by_planes)
+    # Of a plane as large as the model, whose stiffness is `model.stiffness` in units of the potential too.
+    weak = RELATIVE_STIFFNESS * model.stiffness * model.parts.volume / model.parts.size.max() ** 2
+    model.constraints.potentials.add_values(springs, -weak * held_by_planes)
+    model.constraints.travels.add_values(springs, np.full(len(model.constraints.travels), weak))
     return springs
 
 

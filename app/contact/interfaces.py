@@ -129,7 +129,7 @@ class Interfaces:
             facets.nodes for p, seen in zip(self.surface_pairs, masters, strict=True) for facets in (p.slave, seen)
         ]
         needed += [p.slave.nodes for p in self.planes[:1]]  # all planes meet the same surface
-        needed += [np.array([p.reference_node]) for p in self.planes if p.reference_node is not None]
+        needed += [np.array(p.reference_nodes, np.int64) for p in self.planes]
         self.nodes = self._seen(needed)
         geodesic = self.nodes.gather(self._geodesic)[:, 0] if self._geodesic is not None else None
         displacement = self.nodes.gather(state)[:, :d]
@@ -142,6 +142,16 @@ class Interfaces:
             plane.detect(self.nodes, position, search_radius)
         self._search.restart(displacement, search_radius)
         self._consistent_tangent = True
+
+    @property
+    def detected_positions(self) -> Array:
+        """Positions (n, d) of the seen nodes at the last detection, um."""
+        return self.nodes.reference + self._search.detected_at
+
+    @property
+    def mean_facet_size(self) -> float:
+        """Geometric mean of the sizes of all facets, um."""
+        return self._search.mean_facet_size
 
     def _seen(self, facets: Iterable[Integers]) -> SeenNodes:
         return SeenNodes(self._coordinates, self.block_size, self.dim, facets)
@@ -181,7 +191,7 @@ class Interfaces:
         """Whether segments no longer begin and end at the edges of master facets, at the last evaluation."""
         if not self.has_segments:
             return False
-        before = self.nodes.reference + self._search.detected_at
+        before = self.detected_positions
         stale = any(p.has_stale_segments(before, self.interaction_range) for p in self.surface_pairs)
         return self.comm.allreduce(stale, op=MPI.LOR)
 
@@ -202,13 +212,9 @@ class Interfaces:
         `evaluation_failed` say whether the terms can be used; they are none after a failure.
         """
         values = self.nodes.gather(state)
-        displacement = values[:, : self.dim]
-        position = self.nodes.reference + displacement
-        limits = self._search.limits(displacement, search=search, depth=2.0 * self.last_penetration)
-        potentials = values[:, self.dim] if self.potential_scale is not None else None
-        at = self.state = NodalState(
-            position, potentials, self.block_size, self.potential_scale, self.attraction, self._consistent_tangent
-        )
+        limits = self._search.limits(values[:, : self.dim], search=search, depth=2.0 * self.last_penetration)
+        at = self.state = self.nodal_state(values)
+        position = at.position
         terms: list[ContactTerms] = []
         try:
             self._search.update(position, limits)
@@ -225,6 +231,13 @@ class Interfaces:
             terms = []
         self._plane_terms = terms[len(self.surface_pairs) :]
         return ContactTerms.joined([self._none[tangent], *terms])
+
+    def nodal_state(self, values: Array) -> NodalState:
+        """The state at these unknowns (n, block) of the seen nodes."""
+        position = self.nodes.reference + values[:, : self.dim]
+        potentials = values[:, self.dim] if self.potential_scale is not None else None
+        mode = self.attraction, self._consistent_tangent
+        return NodalState(position, potentials, self.block_size, self.potential_scale, *mode)
 
     def predict(self, change: PETSc.Vec) -> Array:
         """Let contact respond from now on as after this change of the state of its last evaluation.

@@ -2,7 +2,8 @@
 
 A point of a surface at x has the gap g = (x - p).n from the plane through p whose normal n points to the bodies and,
 where the plane is an electrode, the potential jump j = phi - V. The interface law is that of contact between bodies;
-n is constant, so the variations of g are those of x alone. V is prescribed, or an unknown of a reference node.
+n is constant, so the variations of g are those of x and p. V is prescribed, or an unknown of a reference node. So is p:
+a plane by force moves along a direction e, by the first displacement component of a reference node.
 """
 
 from __future__ import annotations
@@ -40,9 +41,11 @@ class RigidPlane(ContactPoints):
     start (d,): a point of the plane at the beginning, um
     normal (d,): unit normal, which points to the bodies
     reference_node: global number of the node that has the potential of the plane's electrode; None without one
+    travel_node: global number of the node that has the travel of a plane by force; None for a given motion
+    direction (d,): of that travel, a unit vector
 
     Of the present load level:
-    offset (d,): motion since the beginning, um
+    offset (d,): motion since the beginning, um; by force, of the last detection or evaluation
     potential: V, of an electrode; None of an insulator; with a reference node, of the last evaluation
 
     Valid after an evaluation; all near points are projected:
@@ -55,6 +58,8 @@ class RigidPlane(ContactPoints):
     start: Array
     normal: Array
     reference_node: int | None = None
+    travel_node: int | None = None
+    direction: Array | None = None
     offset: Array = field(init=False)
     potential: float | None = field(init=False, default=None)
     projection: PlaneProjection | None = field(init=False, default=None)
@@ -64,6 +69,7 @@ class RigidPlane(ContactPoints):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.offset = np.zeros(len(self.start))
         self.move({})
         self.force = np.zeros(len(self.normal))
 
@@ -80,18 +86,33 @@ class RigidPlane(ContactPoints):
     def move(self, factors: dict[str, float]) -> None:
         """Move to a load level; without factors to the start."""
         plane = self.plane
-        self.offset = plane.motion_share(factors) * np.asarray(plane.motion or np.zeros(len(self.start)), float)
+        if self.travel_node is None:
+            self.offset = plane.motion_share(factors) * np.asarray(plane.motion or np.zeros(len(self.start)), float)
         if self.reference_node is not None:
             return
         self.potential = plane.potential
         if plane.potential is not None and plane.potential_follows is not None:
             self.potential *= factors.get(plane.potential_follows, 0.0)
 
+    @property
+    def reference_nodes(self) -> list[int]:
+        """Global numbers of the nodes that have its potential and its travel, as far as there are any."""
+        return [node for node in (self.reference_node, self.travel_node) if node is not None]
+
+    def least_gap(self, position: Array) -> float:
+        """Least gap of this rank's facets, um, with the seen nodes at `position`; infinite without any."""
+        nodes = rounded(self.slave.kind, position[self.slave_nodes], self.slave.rounding)
+        return float(self._gap(nodes).min(initial=np.inf))
+
+    def _travel_to(self, position: Array) -> None:
+        if self.travel_node is not None:
+            self.offset = position[self._places[-1], 0] * self.direction
+
     def detect(self, nodes: SeenNodes, position: Array, radius: float) -> None:
         """Find the points within `radius` (um) of the plane whose surface faces it, the seen nodes at `position`."""
         self.slave_nodes = nodes.places(self.slave.nodes)
-        if self.reference_node is not None:
-            self._reference = int(nodes.places(np.array([self.reference_node]))[0])
+        self._places = nodes.places(np.array(self.reference_nodes, np.int64))
+        self._travel_to(position)
         corners = rounded(self.slave.kind, position[self.slave_nodes], self.slave.rounding)
         facet = self.points.facet
         points = np.einsum("mk,mkd->md", self.points.shape, corners[facet])
@@ -106,12 +127,13 @@ class RigidPlane(ContactPoints):
         shape, facet = self.points.shape[rows], self.points.facet[rows]
         nodes = self.slave_nodes[facet]
         kind, offsets = self.slave.kind, self.slave.rounding[facet]
+        self._travel_to(at.position)
         self.position = np.einsum("mk,mkd->md", shape, rounded(kind, at.position[nodes], offsets))
         gap = self._gap(self.position)
         self.projection = PlaneProjection(gap, np.tile(self.normal, (len(rows), 1)))
         self.jump = self.surface_potential = None
         if self.reference_node is not None:
-            self.potential = float(at.scale * at.potentials[self._reference])
+            self.potential = float(at.scale * at.potentials[self._places[0]])
         if at.potentials is not None:
             self.surface_potential = at.scale * np.einsum(
                 "mk,mk->m", shape, spread(kind, at.potentials[nodes], offsets)
@@ -133,11 +155,13 @@ class RigidPlane(ContactPoints):
         if self.jump is not None:
             first[:, 1, :, d] = at.scale * shape
         first = to_corners(kind, first, offsets[active])
-        if self.reference_node is not None:
-            nodes = self._with_reference(nodes)
+        if self.reference_nodes:
+            nodes, n = self._with_references(nodes), first.shape[2]  # of curved facets the corners
             first = np.concatenate([first, np.zeros_like(first)], axis=2)
-            if self.jump is not None:
+            if self.jump is not None and self.reference_node is not None:
                 first[:, 1, n, d] = -at.scale
+            if self.travel_node is not None:
+                first[:, 0, n + len(self.reference_nodes) - 1, 0] = -self.normal @ self.direction
         slopes = np.stack(self._forces(), axis=1)[active]
         vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
         matrices = None
@@ -146,7 +170,7 @@ class RigidPlane(ContactPoints):
             flat = first.reshape(m, 2, first.shape[2] * at.block_size)
             matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
         terms = ContactTerms.summed(facet[active], nodes, vectors, matrices)
-        return terms if self.reference_node is not None else _twice(terms)
+        return terms if self.reference_nodes else _twice(terms)
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """Changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
@@ -159,20 +183,21 @@ class RigidPlane(ContactPoints):
         if self.jump is not None:
             changes[1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))
             if self.reference_node is not None:
-                changes[1] -= at.scale * change[self._reference, d]
+                changes[1] -= at.scale * change[self._places[0], d]
+        if self.travel_node is not None:
+            changes[0] -= change[self._places[-1], 0] * (self.normal @ self.direction)
         return changes
 
     def facet_pairs_within(self, distance: float) -> Integers:
         """Nodes (k, 2 n) of the facets with a gap below `distance` (um) plus half a facet, each twice."""
         near = self._near_contact(distance)
         nodes = self.slave_nodes[np.unique(self.points.facet[self.projected_points[near]])]
-        return self._with_reference(nodes)
+        return self._with_references(nodes)
 
-    def _with_reference(self, nodes: Integers) -> Integers:
-        """Nodes (k, 2 n): those (k, n) of facets twice, the first of the second half being the reference node."""
-        twice = np.concatenate([nodes, nodes], axis=1)
-        if self.reference_node is not None:
-            twice[:, nodes.shape[1]] = self._reference
+    def _with_references(self, nodes: Integers) -> Integers:
+        """Nodes (k, 2 n): those (k, n) of facets twice, the first of the second half being the reference nodes."""
+        twice, n = np.concatenate([nodes, nodes], axis=1), nodes.shape[1]
+        twice[:, n : n + len(self._places)] = self._places
         return twice
 
     def touching_bodies(self, pairs: Pairs) -> set[int]:

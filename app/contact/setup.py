@@ -201,12 +201,14 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     voltage = model.prescription.largest_voltage()
     electrodes = model.constraints.electrodes
     nodes = {name: model.unknowns.reference_node(e.reference) for e in electrodes for name in e.planes}
+    pushed = {p.plane.name: p for p in model.constraints.pushed}
     found = []
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]), model.unknowns.origin)
         is_electrode = plane.potential is not None or plane.name in nodes
         electric = permittivity if is_electrode else None
         law = interface_law(keys, voltage, size, stiffness, electric)
+        push = pushed.get(plane.name)
         found.append(
             RigidPlane(
                 pair=number,
@@ -214,6 +216,8 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
                 start=start,
                 normal=normal,
                 reference_node=nodes.get(plane.name),
+                travel_node=None if push is None else model.unknowns.reference_node(push.reference),
+                direction=None if push is None else push.direction,
                 slave=outside,
                 points=points,
                 law=law,
@@ -231,11 +235,8 @@ def _place(plane: Plane, box: Array, origin: Array) -> tuple[Array, Array]:
     dim = box.shape[1]
     if isinstance(plane.point, str):
         axis, end = SIDES[dim][plane.point]
-        inward = np.eye(dim)[axis] * (1.0 if end == 0 else -1.0)
-        start, normal = box[end] * np.eye(dim)[axis], np.asarray(plane.normal or inward, float)
-    else:
-        start, normal = np.asarray(plane.point, float) - origin, np.asarray(plane.normal, float)
-    return start, normal / np.linalg.norm(normal)
+        return box[end] * np.eye(dim)[axis], plane.inward(dim)
+    return np.asarray(plane.point, float) - origin, plane.inward(dim)
 
 
 def _surface(model: Model, name: str, key: str) -> Surface:

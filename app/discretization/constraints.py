@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.discretization.electrodes import ElectrodeNodes, electrode_nodes
-from piezomat.discretization.ties import Ties
+from piezomat.discretization.motions import PushedPlane, RigidBoundary, pushed_planes, rigid_boundaries
+from piezomat.discretization.ties import References, Ties
 from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.contact.gap import point_normals
@@ -19,7 +20,7 @@ from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.meshes.contact.surface import surface
 from piezomat.scene.errors import SceneError, shown
 from piezomat.scene.scene import Scene
-from piezomat.scene.sections import Boundary, Electrode
+from piezomat.scene.sections import Boundary, Electrode, Plane
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,17 @@ class Constraints:
 
     conditions: the rows [[boundaries]] of the scene, in order
     groups {facet group: conditions on it}
-    electrodes: the rows [[electrodes]] of the scene, in order; the reference nodes are theirs, in the same order
-    ties: the potentials of an electrode's nodes equal that of its reference node
-    tied_on {facet group: local numbers of the owned potentials on it that belong to an electrode}
+    electrodes: the rows [[electrodes]] of the scene, in order
+    rigid, pushed: the rigid boundaries and the planes by force of the scene; the reference nodes are those of
+        electrodes, rigid boundaries and planes by force, in this order
+    potentials (electrodes,): of the electrodes' reference nodes
+    travels (pushed,): of the planes by force
+    motions (k,): components of the rigid boundaries' translations that are free, and then those travels
+    motion_directions (k, d): displacement of the boundary or plane with a unit of each of them
+    motion_loads (k,): the row of the scene that loads each of them, and the force at a load factor of 1, uN
+    ties: the potentials of an electrode's nodes, and the displacements of a rigid boundary's, equal those of a
+        reference node
+    tied_on {facet group: {component: local numbers of the owned unknowns on it that are tied}}
     fixed (k,): local numbers of the owned unknowns that are fixed, sorted
     eliminated (k,), eliminated_global (k,): local and global numbers of the owned unknowns that are fixed or tied
     is_fixed (owned, block): whether an unknown of a node of the mesh is fixed
@@ -84,20 +93,32 @@ class Constraints:
         for row, condition in enumerate(self.conditions):
             given[condition.fixed.get(unknowns.dim, np.zeros(0, np.int64)) // unknowns.block] = row
         self.electrodes: list[ElectrodeNodes] = electrode_nodes(scene, unknowns, bodies, dielectric_node, given)
-        self.ties = Ties(
-            unknowns,
-            [e.nodes * unknowns.block + unknowns.dim for e in self.electrodes],
-            [unknowns.reference_number(e.reference, unknowns.dim) for e in self.electrodes],
+        self.rigid: list[RigidBoundary] = rigid_boundaries(scene, unknowns, bodies, self.is_fixed, len(self.electrodes))
+        self.pushed: list[PushedPlane] = pushed_planes(scene, len(self.electrodes) + len(self.rigid))
+        potentials = [unknowns.reference_number(e.reference, unknowns.dim) for e in self.electrodes]
+        translations = [unknowns.reference_number(r.reference, i) for r in self.rigid for i in r.tied]
+        travels = [unknowns.reference_number(p.reference, 0) for p in self.pushed]
+        self.potentials = References(unknowns, potentials)
+        self.motions = References(unknowns, translations + travels)
+        self.travels = References(unknowns, travels)
+        axes = [i for r in self.rigid for i in r.tied]
+        self.motion_directions: Array = np.concatenate(
+            [np.eye(unknowns.dim)[axes], np.reshape([p.direction for p in self.pushed], (-1, unknowns.dim))]
         )
-        self.tied_on = {
-            name: np.intersect1d(unknowns.nodes_of(bodies.facets[name]) * unknowns.block + unknowns.dim, self.ties.tied)
-            for name in self.groups
-        }
-        # Of a reference node the displacements, and the potential that its electrode prescribes.
-        at_references = np.ones((unknowns.references_here, unknowns.block), bool)
-        if unknowns.references_here:
-            at_references[:, -1] = [e.electrode.potential is not None for e in self.electrodes]
-        self.fixed = np.flatnonzero(np.concatenate([self.is_fixed, at_references]).ravel())
+        self.motion_loads: list[tuple[Boundary | Plane, float]] = [
+            *((r.boundary, r.boundary.force[i]) for r in self.rigid for i in r.tied),
+            *((p.plane, p.force) for p in self.pushed),
+        ]
+        tied = [e.nodes * unknowns.block + unknowns.dim for e in self.electrodes]
+        tied += [numbers for r in self.rigid for numbers in r.tied.values()]
+        self.ties = Ties(unknowns, tied, References(unknowns, potentials + translations))
+        self.tied_on = {name: self._tied_on(name, bodies.facets[name]) for name in self.groups}
+        # Reference nodes have no other unknowns than these; of electrodes some have a given potential.
+        at_references = np.ones(unknowns.references_here * unknowns.block, bool)
+        open_ = [p for p, e in zip(potentials, self.electrodes, strict=True) if e.electrode.potential is None]
+        for numbers in (self.motions, References(unknowns, open_)):
+            at_references[numbers.local - unknowns.owned * unknowns.block] = False
+        self.fixed = np.flatnonzero(np.concatenate([self.is_fixed.ravel(), at_references]))
         self.eliminated = np.union1d(self.fixed, self.ties.tied)
         self.eliminated_global = (self.eliminated + unknowns.first_node * unknowns.block).astype(PETSc.IntType)
 
@@ -112,10 +133,10 @@ class Constraints:
                 potential = component == unknowns.dim
                 value = b.potential / self._potential_scale if potential else b.displacement[component]
                 values[fixed] = factor * value
-        if unknowns.references_here:
-            rows = [e.electrode for e in self.electrodes]
-            given = [load_factor(row, factors) * (row.potential or 0.0) / self._potential_scale for row in rows]
-            values[unknowns.reference_entries(unknowns.dim)] = given
+        given = np.array([load_factor(e.electrode, factors) * (e.electrode.potential or 0.0) for e in self.electrodes])
+        if len(given):
+            local = self.potentials.local
+            values[local] = given[: len(local)] / self._potential_scale
         return values[self.fixed]
 
     def fixed_displacements(self) -> Booleans:
@@ -134,6 +155,15 @@ class Constraints:
     def eliminate(self, matrix: PETSc.Mat) -> None:
         """Make the rows and columns of the eliminated unknowns those of the unit matrix. Collective."""
         matrix.zeroRowsColumns(self.eliminated_global, diag=1.0)
+
+    def _tied_on(self, name: str, facets: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:
+        """Of a group all potentials that are tied, and the displacements that are because the group itself is rigid."""
+        unknowns = self._unknowns
+        found = {i: numbers for r in self.rigid if r.boundary.on == name for i, numbers in r.tied.items()}
+        if self.electrodes:
+            potentials = unknowns.nodes_of(facets) * unknowns.block + unknowns.dim
+            found[unknowns.dim] = np.intersect1d(potentials, self.ties.tied)
+        return found
 
     def _condition(self, boundary: Boundary, bodies: BodyMesh) -> Condition:
         """The next row of the scene; marks the unknowns that it fixes."""
@@ -177,9 +207,14 @@ def _prescribed(row: Boundary, dim: int) -> dict[int, tuple[float, str | None]]:
     return {i: (value, row.follows if value else None) for i, value in given.items() if value is not None}
 
 
-def load_factor(row: Boundary | Electrode, factors: dict[str, float]) -> float:
+def load_factor(row: Boundary | Electrode | Plane, factors: dict[str, float]) -> float:
     """Value of the load factor that a row of the scene follows; 1 without one."""
     return factors[row.follows] if row.follows is not None else 1.0
+
+
+def reference_nodes(scene: Scene) -> int:
+    """Number of the reference nodes of a scene, see `Constraints`."""
+    return len(scene.electrodes) + sum(row.rigid for row in scene.boundaries) + sum(p.is_pushed for p in scene.planes)
 
 
 def _measure(

@@ -1,6 +1,6 @@
 """Loads: tractions, pressures and charges on boundaries as a UFL form whose constants follow the load factors.
 
-The charge of an electrode belongs to no place on it: it loads the reference node.
+The charge of an electrode and the force on a rigid boundary or a plane belong to no place: they load a reference node.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from piezomat.discretization.constraints import Condition, load_factor
+from piezomat.discretization.constraints import Condition, Constraints, load_factor
 from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.kinematics import Kinematics
 from piezomat.forms.loads import Load, boundary_loads
@@ -29,14 +29,17 @@ class Loads:
     """Tractions, pressures and charge densities of all boundary conditions, reference area and normal.
 
     charges (electrodes,), pC: given to the electrodes at the present load factors
+    forces (k,), uN: on `Constraints.motions` at the present load factors
     """
 
-    def __init__(self, conditions: Sequence[Condition], electrodes: Sequence[Electrode], bodies: BodyMesh) -> None:
+    def __init__(self, constraints: Constraints, electrodes: Sequence[Electrode], bodies: BodyMesh) -> None:
         """Collective. Raises SceneError for a load on facets inside a body."""
         self._mesh = bodies.mesh
         self._dim: int = bodies.mesh.geometry.dim
         self._electrodes = electrodes
+        self._motion_loads, conditions = constraints.motion_loads, constraints.conditions
         self.charges = np.zeros(len(electrodes))
+        self.forces = np.zeros(len(self._motion_loads))
         loaded = [condition for condition in conditions if _given(condition.boundary)]
         with_loads = {condition.boundary.on for condition in loaded}
         groups = [name for name in dict.fromkeys(c.boundary.on for c in conditions) if name in with_loads]
@@ -55,10 +58,11 @@ class Loads:
             self._loads += [Load(tag, **constants) for tag, row in enumerate(combinations, start=1) if row[column]]
 
     def set_factors(self, factors: dict[str, float]) -> None:
-        """Set the constants of the form and the charges to these load factors."""
+        """Set the constants of the form, the charges and the forces to these load factors."""
         for constant, value, boundary in self._constants:
             constant.value = np.asarray(value) * load_factor(boundary, factors)
         self.charges = np.array([load_factor(row, factors) * (row.charge or 0.0) for row in self._electrodes])
+        self.forces = np.array([load_factor(row, factors) * force for row, force in self._motion_loads])
 
     def form(self, state: Any, kinematics: Kinematics, potential_scale: float | None) -> Any:
         """UFL form that the loads add to the residual at `state`; an empty form without loads."""

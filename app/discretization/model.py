@@ -9,7 +9,7 @@ import dolfinx.fem.petsc
 import numpy as np
 from petsc4py import PETSc
 
-from piezomat.discretization.constraints import Constraints
+from piezomat.discretization.constraints import Constraints, reference_nodes
 from piezomat.discretization.doubts import doubts
 from piezomat.discretization.loads import Loads
 from piezomat.discretization.prescription import Prescription
@@ -61,7 +61,8 @@ class Model:
         if self.electric:
             permittivity = max(m.mean_permittivity for m in self.materials)
             self.potential_scale = float(np.sqrt(self.stiffness / permittivity))
-        self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric, references=len(scene.electrodes))
+        references = reference_nodes(scene)
+        self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric, references=references)
         self.trial_state = dolfinx.fem.Function(self.unknowns.space)
         self._layout = self.unknowns.empty_vector(self.comm)
         self._ghosted = self.unknowns.ghosted_vector(self.comm)
@@ -71,7 +72,7 @@ class Model:
         self.parts = parts_of(bodies, self.unknowns)
         self.constraints = Constraints(scene, self.unknowns, bodies, dielectric, self.potential_scale)
         self.prescription = Prescription(self.comm, self.constraints, scene.planes, scene.load)
-        self.loads = Loads(self.constraints.conditions, scene.electrodes, bodies)
+        self.loads = Loads(self.constraints, scene.electrodes, bodies)
         self.unconstrained = unconstrained(self.parts, self.unknowns, self.constraints, dielectric)
 
     @property

@@ -1,6 +1,7 @@
 """The unknowns of a model: displacement and, with permittivity, potential at the nodes of a blocked Lagrange space.
 
-What belongs to no node of the mesh, such as the potential of an electrode, is an unknown of a reference node.
+What belongs to no node of the mesh, such as the potential of an electrode or the travel of a plane, is an unknown of a
+reference node.
 """
 
 from __future__ import annotations
@@ -89,13 +90,13 @@ class Unknowns:
         """Give a vector these values (owned, block) at the nodes of the mesh. Not collective, but for all ranks."""
         vector.array[: values.size] = values.ravel()
 
-    def reference_entries(self, component: int) -> NDArray[np.int64]:
-        """Local numbers (references_here,) of an unknown of this rank's reference nodes."""
-        return (self.owned + np.arange(self.references_here)) * self.block + component
-
     def displacements(self, vector: PETSc.Vec) -> Array:
         """View (owned, dim) of this rank's displacement part of a vector, for reading."""
         return self.by_node(vector)[:, : self.dim]
+
+    def all_displacements(self, vector: PETSc.Vec) -> Array:
+        """View (owned + references_here, dim) of that part, the motions at reference nodes included, for reading."""
+        return vector.array_r.reshape(-1, self.block)[:, : self.dim]
 
     def potentials(self, vector: PETSc.Vec) -> Array:
         """View (owned,) of this rank's potential part of a vector, for reading."""

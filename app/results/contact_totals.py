@@ -50,11 +50,12 @@ class PairTotals:
 class PlaneTotals:
     """Contact with a rigid plane.
 
-    force (d,): that the plane exerts on the bodies, uN. area: um2. max_pressure: MPa. max_penetration: um.
-    charge: of an electrode, pC. potential: of an electrode its own, V; of an insulator the mean over the surfaces that
-    touch it, nan where none does.
+    travel: along the normal, um. force (d,): that the plane exerts on the bodies, uN. area: um2. max_pressure: MPa.
+    max_penetration: um. charge: of an electrode, pC. potential: of an electrode its own, V; of an insulator the mean
+    over the surfaces that touch it, nan where none does.
     """
 
+    travel: float
     force: Array
     area: float
     max_pressure: float
@@ -108,6 +109,7 @@ def totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     charge, touching, integral = sums[d:]
     mean = integral / touching if touching > 0.0 else float("nan")
     return PlaneTotals(
+        travel=float(plane.offset @ plane.normal),
         force=sums[:d],
         area=touching,
         max_pressure=largest[0],

@@ -17,12 +17,13 @@ class ElectrodeState:
 
 def electrode_states(problem: Problem) -> list[ElectrodeState]:
     """State of each electrode at the last residual, in the order of the scene. Collective."""
-    model, ties = problem.model, problem.model.constraints.ties
-    if not ties:
+    model, constraints = problem.model, problem.model.constraints
+    count = len(constraints.electrodes)
+    if not count:
         return []
-    voltages = model.potential_scale * ties.values(problem.state)
+    voltages = model.potential_scale * constraints.potentials.values(problem.state)
     # The residual is that of what lies in the bodies, across contacts, and of the charges given: without these it is
     # minus the charge.
-    charges = (ties.sums(problem.loads.vector) - ties.sums(problem.residual_with_reactions)) / model.potential_scale
-    charges = charges - problem.circuits.charges(problem.state)
+    sums = [constraints.ties.sums(vector)[:count] for vector in (problem.loads.vector, problem.residual_with_reactions)]
+    charges = (sums[0] - sums[1]) / model.potential_scale - problem.circuits.charges(problem.state)
     return [ElectrodeState(float(v), float(q)) for v, q in zip(voltages, charges, strict=True)]

@@ -3,7 +3,7 @@
 The trapezoidal rule: the external work of a part is the mean of the nodal forces at its ends times the change of
 displacement, plus the mean of the potentials times the change of charge. Planes count alike, with their force,
 position, potential and charge. Where bonds snap, forces change too much for that: `snap_through_work` takes the place
-of the mechanical part.
+of the mechanical part of all but planes by motion.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ class EnergyBalance:
         self.external_work = 0.0
         self.stabilization_work = 0.0
         self.forces = problem.model.new_vector()
+        self._pushed = np.array([plane.is_pushed for plane in problem.model.scene.planes], bool)
         self.restart_planes()
 
     def restart_planes(self) -> None:
@@ -61,7 +62,7 @@ class EnergyBalance:
         if snap_through_work is not None:
             self.external_work += float(snap_through_work[0])
             self.stabilization_work += float(snap_through_work[1])
-        self._add_planes()
+        self._add_planes(by_force=snap_through_work is None)
         self.stabilization_work += problem.stabilization.work(problem.state)
         problem.model.unknowns.set_by_node(self.forces, new)
 
@@ -77,8 +78,17 @@ class EnergyBalance:
         values[:, summed] = parallel.total(self.problem.comm, values[:, summed])
         return values
 
-    def _add_planes(self) -> None:
+    def _travels(self) -> Array:
+        """Motions (k, d) of the planes by force in the last part, um."""
+        constraints = self.problem.model.constraints
+        values = constraints.travels.values
+        change = values(self.problem.state) - values(self.problem.converged_state)
+        return change[:, None] * constraints.motion_directions[len(constraints.motions) - len(change) :]
+
+    def _add_planes(self, *, by_force: bool) -> None:
         d, new = self.problem.model.dim, self._plane_values()
         mean, change = 0.5 * (new + self.planes), new - self.planes
+        # A step begins where planes by force touch a body: the way there takes no force.
+        change[self._pushed, d : 2 * d] = self._travels() if by_force else 0.0
         self.external_work += float((mean[:, :d] * change[:, d : 2 * d]).sum() + mean[:, -1] @ change[:, -2])
         self.planes = new

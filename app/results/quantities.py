@@ -20,6 +20,7 @@ from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_
 from piezomat.results.electrodes import electrode_states
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.reactions import reaction
+from piezomat.results.rigid_boundaries import translations
 from piezomat.scene.tables import markdown
 from piezomat.solver.capacitance import between
 from piezomat.solver.load_steps import Step, StepReport
@@ -178,11 +179,23 @@ BOUNDARY = Group(
         ),
     ],
 )
+RIGID = Group(
+    "B",
+    lambda problem: [r.boundary.on for r in problem.model.constraints.rigid],
+    lambda at: translations(at.problem, at.step.after),
+    [
+        Quantity("displacement_{axis}@{place}", "um", "of a rigid boundary", attrgetter("displacement")),
+        Quantity("travel@{place}", "um", "how far a rigid boundary has moved along its force", attrgetter("travel")),
+    ],
+)
 PLANE = Group(
     "P",
     lambda problem: [plane.name for plane in problem.model.scene.planes],
     _planes,
     [
+        Quantity(
+            "travel@{place}", "um", "how far the plane has moved along its normal, to the bodies", attrgetter("travel")
+        ),
         Quantity("force_{axis}@{place}", "uN", "force that the plane exerts on the bodies", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area that touches the plane", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
@@ -283,7 +296,7 @@ WHOLE = Group(
         ),
     ],
 )
-GROUPS = (STEP, FACTOR, BOUNDARY, PLANE, ELECTRODE, PAIR, ENERGY, CAPACITANCE, WHOLE)
+GROUPS = (STEP, FACTOR, BOUNDARY, RIGID, PLANE, ELECTRODE, PAIR, ENERGY, CAPACITANCE, WHOLE)
 
 
 def columns(problem: Problem) -> list[str]:

@@ -29,8 +29,8 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     for condition in conditions:
         for component, unknowns in condition.fixed.items():
             total[component] += problem.residual_with_reactions.array_r[unknowns].sum()
-    tied = model.constraints.tied_on[conditions[0].boundary.on]
-    total[model.dim] += problem.residual_with_reactions.array_r[tied].sum()
+    for component, unknowns in model.constraints.tied_on[conditions[0].boundary.on].items():
+        total[component] += problem.residual_with_reactions.array_r[unknowns].sum()
     total = parallel.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
     applied = sum(model.loads.applied(condition, factors) for condition in conditions)

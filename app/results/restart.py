@@ -29,8 +29,8 @@ class Scalars(BaseModel):
     """What a checkpoint holds beside nodal values and contact points; of an older version without the last seven.
 
     scene: the scene of the run as TOML. mesh: SHA-256 of its mesh file. version: of piezomat that has written it.
-    references: unknowns of the electrodes' reference nodes. capacitance: matrices of the electrodes after each step.
-    of_terms: numbers in the histories of the terms, which an older version has beside the others.
+    references: unknowns of the reference nodes, potentials first. capacitance: matrices of the electrodes after each
+    step. of_terms: numbers in the histories of the terms, which an older version has beside the others.
     """
 
     model_config = ConfigDict(strict=True, frozen=True)
@@ -71,7 +71,8 @@ def save(
 
     capacitance, scene, mesh: see `Scalars`. Raises what `checkpoint.save` does.
     """
-    model, ties = problem.model, problem.model.constraints.ties
+    model, constraints = problem.model, problem.model.constraints
+    references = constraints.potentials, constraints.motions
     ids = _node_ids(model)
     nodal = {
         "state": (ids, model.unknowns.by_node(problem.state)),
@@ -88,7 +89,7 @@ def save(
         "mesh": mesh,
         "version": __version__,
         "capacitance": capacitance,
-        "references": ties.values(problem.state).tolist() if ties else [],
+        "references": np.concatenate([r.values(problem.state) for r in references]).tolist(),
     }
     checkpoint.save(problem.comm, folder, step, nodal, histories.points, scalars)
 
@@ -127,8 +128,10 @@ def restore(stored: checkpoint.Checkpoint, problem: Problem, stepper: Stepper, b
     ids, width = _node_ids(model), model.unknowns.block
     state, forces = (stored.nodal(name, ids, width) for name in ("state", "forces"))
     model.unknowns.set_by_node(problem.state, state)
-    if len(scalars.references) == len(model.constraints.electrodes):
-        model.constraints.ties.set_values(problem.state, scalars.references)
+    potentials, motions = model.constraints.potentials, model.constraints.motions
+    if len(scalars.references) == len(potentials) + len(motions):
+        potentials.set_values(problem.state, scalars.references[: len(potentials)])
+        motions.set_values(problem.state, scalars.references[len(potentials) :])
     last = scalars.history[-1] if scalars.history else {}
     factors = {name: last.get(f"factor:{name}", 0.0) for name in model.scene.load.factors}
     try:

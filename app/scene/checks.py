@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 
+import numpy as np
+
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.meshes.names import is_formula
 from piezomat.scene.data import SceneData, key_of
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
-from piezomat.scene.sections import SIDES, Boundary
+from piezomat.scene.sections import SIDES, Boundary, Plane
 
+LEAST_SHARE = 1e-3  # of the force on a plane that is along its normal
 OVERLAP = 0.1  # most that bodies may overlap at the start, as a share of the size of the smallest one
 
 
@@ -90,7 +93,7 @@ def boundaries(scene: SceneData) -> None:
         key = f"boundaries[{index}]"
         if row.on not in scene.facet_groups:
             raise unknown_name(f"{key}.on", row.on, "a facet group of the geometry", scene.facet_groups)
-        for name in ("displacement", "traction"):
+        for name in ("displacement", "traction", "force"):
             vector = getattr(row, name)
             if vector is not None and len(vector) != scene.dimension:
                 found = ["free" if value is None else value for value in vector]
@@ -121,7 +124,7 @@ def planes(scene: SceneData) -> None:
         if isinstance(plane.point, str) and plane.point not in SIDES[scene.dimension]:
             allowed = f"{named(list(SIDES[scene.dimension]))} in two dimensions, or a point"
             raise SceneError(f"{key}.point", shown(plane.point), allowed)
-        for name in ("point", "normal", "motion"):
+        for name in ("point", "normal", "motion", "force"):
             vector = getattr(plane, name)
             if isinstance(vector, list) and len(vector) != scene.dimension:
                 raise SceneError(f"{key}.{name}", vector, f"{scene.dimension} components, one a dimension")
@@ -130,6 +133,25 @@ def planes(scene: SceneData) -> None:
             raise SceneError(f"{key}.potential", plane.potential, allowed)
         for name in ("follows", "potential_follows"):
             _check_factor(scene, f"{key}.{name}", getattr(plane, name))
+        if plane.is_pushed:
+            _check_push(scene, key, plane)
+
+
+def _check_push(scene: SceneData, key: str, plane: Plane) -> None:
+    """A plane by force presses on the bodies at every load level: nothing would hold one that is pulled away."""
+    if plane.pressure is not None and scene.pressed_area(plane) is None:
+        allowed = (
+            "the area that the pressure acts on, um2 (2D: um): only built shapes in a box know that of top and bottom"
+        )
+        raise SceneError(f"{key}.area", "nothing", allowed)
+    normal = plane.inward(scene.dimension)
+    if plane.force is not None and np.array(plane.force) @ normal <= LEAST_SHARE * np.linalg.norm(plane.force):
+        allowed = f"a force towards the bodies, along its normal {[float(f'{c:.4g}') for c in normal]}"
+        raise SceneError(f"{key}.force", plane.force, allowed)
+    values = scene.load.factors[plane.follows] if plane.follows is not None else []
+    if min(values, default=0.0) < 0.0:
+        allowed = f"no negative values: {shown(plane.name)} would be pulled off the bodies, to which it does not adhere"
+        raise SceneError(f"load.factors.{plane.follows}", values, allowed)
 
 
 def electrodes(scene: SceneData) -> None:

@@ -10,6 +10,8 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple, Union
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Discriminator, Field, PrivateAttr, Tag
 
 from piezomat.forms.constitutive import ConstitutiveLaw
@@ -127,6 +129,19 @@ class SceneData(Keys):
         """The facet groups, bodies and planes that the names and patterns of an electrode stand for."""
         kinds = self.facet_groups, self.body_names, [plane.name for plane in self.planes]
         return Members(*(tuple(n for n in names if key_of(n, electrode.on) is not None) for names in kinds))
+
+    def push(self, plane: Plane) -> tuple[NDArray[np.float64], float]:
+        """Direction (d,) along which a plane by force moves, and the force along it at a load factor of 1, uN."""
+        if plane.force is not None:
+            size = float(np.linalg.norm(plane.force))
+            return np.array(plane.force) / size, size
+        return plane.inward(self.dimension), plane.pressure * self.pressed_area(plane)
+
+    def pressed_area(self, plane: Plane) -> float | None:
+        """Area that the pressure of a plane acts on, um2 (2D: um): given, or a box's seen from above; None: unknown."""
+        if plane.area is not None or isinstance(self.geometry, MeshFile) or plane.point not in ("bottom", "top"):
+            return plane.area
+        return self.geometry.area
 
     def material(self, body: str) -> ConstitutiveLaw:
         """The material of a body in global axes."""

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
 from piezomat.scene.errors import SceneError, named, shown
@@ -68,12 +70,16 @@ class Boundary(Keys):
         None, description="MPa per reference area, one a dimension"
     )
     pressure: float | None = Field(None, description="MPa, pushing inward")
+    rigid: bool = Field(False, description="the group moves as one, without rotation, under a force")
+    force: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(
+        None, description="uN (2D: per um of depth), on a rigid group: its total force, one a dimension"
+    )
     charge_density: float | None = Field(None, description="pC/um2 of free charge")
     follows: Name | None = Field(None, description="load factor on the values of this row; absent: constant")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        conditions = ("displacement", "potential", "traction", "pressure", "charge_density")
+        conditions = ("displacement", "potential", "traction", "pressure", "force", "charge_density")
         fixed = [value is not None for value in self.displacement or []]
         others = [key for key in conditions[1:] if getattr(self, key) is not None]
         if not any(fixed) and not others:
@@ -92,7 +98,27 @@ class Boundary(Keys):
                 "a pressure where every displacement is prescribed",
                 'a "free" displacement component',
             )
+        self._check_rigid(fixed)
         return self
+
+    def _check_rigid(self, fixed: list[bool]) -> None:
+        """Raise SceneError for a rigid group without a force, or a force without a rigid group that it can move."""
+        if not self.rigid:
+            if self.force is not None:
+                raise SceneError("force", self.force, "rigid = true with it; traction on a group that is not rigid")
+            return
+        if self.force is None:
+            raise SceneError("force", "nothing", "the total force on the group, with rigid = true")
+        for key in ("traction", "pressure"):
+            if getattr(self, key) is not None:
+                raise SceneError(key, getattr(self, key), "force alone, with rigid = true")
+        if fixed and all(fixed):
+            allowed = 'false where every displacement is prescribed, or a "free" component'
+            raise SceneError("rigid", "true", allowed)
+        for axis, (held, force) in enumerate(zip(fixed, self.force, strict=False)):
+            if held and force:
+                allowed = f'0 where displacement[{axis}] is a number, or displacement[{axis}] = "free"'
+                raise SceneError(f"force[{axis}]", force, allowed)
 
 
 Side = Literal["bottom", "top", "left", "right", "front", "back"]
@@ -111,8 +137,19 @@ class Plane(Keys):
         description="um, or the side of the box around the bodies that the plane lies on"
     )
     normal: Direction | None = Field(None, description="to the side where the bodies are; default of a side: inward")
-    motion: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(None, description="um")
-    follows: Name | None = Field(None, description="load factor on the motion; absent: moved from the start")
+    motion: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(
+        None, description="um; without motion, force and pressure the plane stays"
+    )
+    force: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(
+        None, description="uN (2D: per um of depth), instead of motion: the plane moves along it as far as bodies yield"
+    )
+    pressure: Positive | None = Field(None, description="MPa, instead of a force: pushes the plane along its normal")
+    area: Positive | None = Field(
+        None, description="um2 (2D: um) that pressure acts on; default: a box's area seen from above, of a built shape"
+    )
+    follows: Name | None = Field(
+        None, description="load factor on motion, force or pressure; absent: there from the start"
+    )
     potential: float | None = Field(None, description="V, of an electrode; absent: an insulator")
     potential_follows: Name | None = Field(None, description="load factor on the potential; absent: constant")
 
@@ -122,10 +159,28 @@ class Plane(Keys):
             raise SceneError("normal", "nothing", "a direction, to the side where the bodies are")
         if self.normal is not None and not any(self.normal):
             raise SceneError("normal", self.normal, "a direction: not the zero vector")
-        for key, what in (("follows", "motion"), ("potential_follows", "potential")):
-            if getattr(self, key) is not None and getattr(self, what) is None:
-                raise SceneError(key, shown(getattr(self, key)), f"nothing without {what}")
+        given = [key for key in ("motion", "force", "pressure") if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise SceneError(given[1], f"both {' and '.join(given)}", "at most one of motion, force and pressure")
+        if self.area is not None and self.pressure is None:
+            raise SceneError("area", self.area, "nothing without pressure")
+        if self.follows is not None and not given:
+            raise SceneError("follows", shown(self.follows), "nothing without motion, force or pressure")
+        if self.potential_follows is not None and self.potential is None:
+            raise SceneError("potential_follows", shown(self.potential_follows), "nothing without potential")
         return self
+
+    @property
+    def is_pushed(self) -> bool:
+        """Whether a force moves it, not a given motion."""
+        return self.force is not None or self.pressure is not None
+
+    def inward(self, dimension: int) -> NDArray[np.float64]:
+        """Unit normal (d,), to the side where the bodies are."""
+        if self.normal is not None:
+            return np.array(self.normal) / np.linalg.norm(self.normal)
+        axis, end = SIDES[dimension][self.point]
+        return np.eye(dimension)[axis] * (1.0 if end == 0 else -1.0)
 
     def motion_share(self, factors: dict[str, float]) -> float:
         """Share of `motion` at these load factors; without any factors only a plane moved from the start has moved."""

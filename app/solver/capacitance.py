@@ -83,12 +83,12 @@ class Capacitance:
         right, change = problem.model.new_vector(), problem.model.new_vector()
         unit[electrode] = 1.0
         if self._given[electrode]:
-            constraints.ties.set_values(change, unit / scale)
+            constraints.potentials.set_values(change, unit / scale)
             constraints.expand(change)
             problem.multiply(change, right)
             constraints.reduce(right)
         else:
-            constraints.ties.set_values(right, unit * scale)
+            constraints.potentials.set_values(right, unit * scale)
         right.scale(-1.0)
         is_krylov = self.linear.close_tolerance is not None
         what = problem, self.linear, self.snes, right, response, TOLERANCE if is_krylov else None
@@ -106,13 +106,13 @@ class Capacitance:
 
     def _stationary_values(self, changes: list[PETSc.Vec]) -> Array:
         """J (solved, solved) of the responses; ends the vectors."""
-        problem, ties = self.problem, self.problem.model.constraints.ties
+        problem, potentials = self.problem, self.problem.model.constraints.potentials
         product = problem.model.new_vector()
         values = np.zeros((len(changes),) * 2)
         loads = problem.model.potential_scale * ~self._given[self._solved]
         for j, change in enumerate(changes):
             problem.multiply(change, product)
-            by_load = loads * ties.values(change)[self._solved]
+            by_load = loads * potentials.values(change)[self._solved]
             values[:, j] += by_load
             values[j] += by_load
             values[:, j] += [other.dot(product) for other in changes]

@@ -60,9 +60,15 @@ def _aggregates(model: Model) -> list[NDArray[np.int64]]:
 
 
 def _motions(model: Model) -> PETSc.Mat:
-    """Orthonormal rigid motions of the aggregates at the nodes, zero where a displacement is prescribed."""
-    d, n = model.dim, model.unknowns.owned
-    free = ~model.constraints.is_fixed[:, :d, None]
+    """Orthonormal rigid motions of the aggregates at the nodes, zero where a displacement is prescribed or tied.
+
+    What moves as one by a force is an unknown of the coarse space.
+    """
+    unknowns, constraints = model.unknowns, model.constraints
+    d, n, block = model.dim, unknowns.owned, unknowns.block
+    left = np.ones((n + unknowns.references_here) * block, bool)
+    left[constraints.eliminated] = False
+    free = left.reshape(-1, block)[:, :d, None]
     rows, columns, values, count = [], [], [], 0
     for nodes in _aggregates(model):
         away = model.unknowns.coordinates[nodes] - model.unknowns.coordinates[nodes].mean(axis=0)
@@ -74,8 +80,13 @@ def _motions(model: Model) -> PETSc.Mat:
         columns.append(np.tile(count + np.arange(basis.shape[1]), len(row)))
         values.append(basis.ravel())
         count += basis.shape[1]
+    moving = constraints.motions.local
+    rows.append(moving // block * d + moving % block)
+    columns.append(count + np.arange(len(moving)))
+    values.append(np.ones(len(moving)))
+    count += len(moving)
     entries = [np.concatenate([np.zeros(0, int), *parts]) for parts in (values, rows, columns)]
-    n += model.unknowns.references_here  # which have none
+    n += unknowns.references_here
     local = scipy.sparse.csr_matrix((entries[0], (entries[1], entries[2])), shape=(n * d, count))
     start = model.comm.exscan(count) or 0
     csr = local.indptr.astype(PETSc.IntType), (local.indices + start).astype(PETSc.IntType), local.data

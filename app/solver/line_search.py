@@ -110,5 +110,5 @@ class LineSearch:
 
     def _product(self, residual: PETSc.Vec, step: PETSc.Vec) -> float:
         """Displacements' part of residual . step."""
-        d = self.problem.model.unknowns.displacements
+        d = self.problem.model.unknowns.all_displacements
         return self.problem.comm.allreduce(float(np.vdot(d(residual), d(step))), op=MPI.SUM)

@@ -270,7 +270,8 @@ class Stepper:
     def revisit(self) -> None:
         """Evaluate residual and contact at the present state, as they are at the end of a step."""
         problem = self.problem
-        problem.begin_step(problem.contact.least_search_radius() if problem.contact is not None else 0.0)
+        radius = problem.contact.least_search_radius() if problem.contact is not None else 0.0
+        problem.begin_step(radius, approach=False)
         problem.residual(problem.state, problem.state.duplicate())
 
     def search_radius(self, prescribed: float) -> float:

@@ -147,10 +147,13 @@ class Multigrid:
 
 
 def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
-    """Orthonormal rigid modes of the whole model, in which reference nodes do not move."""
-    unknowns = model.unknowns
+    """Orthonormal rigid modes of the whole model; what moves as one by a force takes part in translations."""
+    unknowns, constraints = model.unknowns, model.constraints
     modes = rigid_modes(unknowns.coordinates[: unknowns.owned])
     modes = np.concatenate([modes, np.zeros((unknowns.references_here, *modes.shape[1:]))])
+    local = constraints.motions.local
+    node, component = local // unknowns.block, local % unknowns.block
+    modes[node, component, : model.dim] = constraints.motion_directions[: len(local)]
     vectors = []
     for k in range(modes.shape[2]):
         vector = PETSc.Vec().createMPI((len(modes) * model.dim, None), bsize=model.dim, comm=comm)

@@ -68,17 +68,18 @@ def snap_through_work(problem: Problem) -> Array | None:
         return None
     end = problem.state.copy()
     unknowns = problem.model.unknowns
-    displacements = unknowns.displacements
+    displacements = unknowns.all_displacements
     change = displacements(end) - displacements(problem.converged_state)
-    fixed = problem.model.constraints.is_fixed[:, : problem.model.dim]
+    reduced, d = end.duplicate(), problem.model.dim
+    fixed = problem.model.constraints.is_fixed[:, :d]
     is_viscous, contact.viscous_regularization = contact.viscous_regularization, False
 
     def power(share: float) -> Array:
         x = (1.0 - share) * problem.converged_state + share * end
-        problem.residual(x, x.duplicate())
-        work = displacements(problem.residual_with_reactions) * change
+        problem.residual(x, reduced)
+        held = unknowns.displacements(problem.residual_with_reactions) * change[: len(fixed)] * fixed
         applied = displacements(problem.loads.vector) * change
-        outside, free = (work * fixed).sum() - applied.sum(), -(work * ~fixed).sum()
+        outside, free = held.sum() - applied.sum(), -(displacements(reduced) * change).sum()
         return parallel.total(problem.comm, np.array([outside, free]))
 
     values = [power(0.0)]

@@ -1,9 +1,10 @@
 """Continuation of the stabilization: how stiff the springs on unconstrained bodies are while a load level is solved.
 
 A body that contact alone can hold is thrown about by Newton's method. Weak springs at all its unknowns, which start
-from the last converged state, keep the tangent regular. Where they do not hold a body, there are two ways:
+from the last converged state, keep the tangent regular. Where they do not hold a body, there are three ways:
 
 - With loads, stiff springs are reduced from solve to solve, down to the weak ones, which carry none of the load.
+- Where forces on planes or rigid boundaries press, the springs are let go after each solve until they carry nothing.
 - Without, as in a mat pressed by planes, springs a hundred times stiffer stay, as long as they take next to no energy.
   With many unconstrained bodies, some of which would nearly always be thrown about, they are there from the start.
 """
@@ -27,6 +28,8 @@ FLOWN = 0.5  # share of the least thickness by which a body may move further in 
 MANY_BODIES = 50  # unconstrained bodies, from which springs are stiffer from the start
 # Factor of springs that stay stiffer, and the share of the stored energy that they may take.
 STIFFER, LARGEST_ENERGY_SHARE = 100.0, 5e-4
+RELEASED = 1e-10  # share of the forces on planes and rigid boundaries that springs may carry, let go so often at most
+MAX_RELEASES = 8
 UNHELD = "nothing holds a body against the load on it: no boundary, and no contact"
 
 # As a round body does that a load presses on another one, with no boundary to hold it sideways.
@@ -53,7 +56,8 @@ class StabilizationContinuation:
         problem = self.problem
         try:
             self._solve(search_radius, prescribed, report)
-            if problem.stabilization.load_share(problem.state, problem.loads.vector) <= LARGEST_LOAD_SHARE:
+            self._release(search_radius, prescribed, report)
+            if self._load_share() <= LARGEST_LOAD_SHARE:
                 return
         except SolveError as error:
             if not (problem.loads.exist or problem.model.has_unconstrained_bodies):
@@ -77,6 +81,20 @@ class StabilizationContinuation:
             stored = sum(problem.bulk.energies(problem.state).values())
             if problem.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
+
+    def _load_share(self) -> float:
+        return self.problem.stabilization.load_share(self.problem.state, self.problem.loads.vector)
+
+    def _release(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
+        """Let the springs go and solve again, as often as they carry a share of forces that must be exact."""
+        problem = self.problem
+        if not len(problem.model.constraints.motions):
+            return
+        for _ in range(MAX_RELEASES):
+            if self._load_share() <= RELEASED:
+                return
+            problem.stabilization.release(problem.state)
+            self._solve(search_radius, prescribed, report)
 
     def _reduce(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Solve with stiff springs and then ever weaker ones, so that no body leaps through another."""
@@ -103,10 +121,11 @@ class StabilizationContinuation:
                     last, reduction = factor, min(reduction**2, LARGEST_REDUCTION)
         finally:
             problem.set_stabilization(1.0)
-        if problem.stabilization.load_share(problem.state, problem.loads.vector) > LARGEST_LOAD_SHARE:
+        self._release(search_radius, prescribed, report)
+        if self._load_share() > LARGEST_LOAD_SHARE:
             raise SolveError(UNHELD)
 
     def _has_flown(self, prescribed: float, since: PETSc.Vec | None = None) -> bool:
         """Whether a body may have passed through another, which weak springs neither prevent nor show."""
         problem = self.problem
-        return problem.motion(since) > prescribed + FLOWN * problem.model.parts.thickness.min()
+        return problem.motion(since) > prescribed + problem.travel(since) + FLOWN * problem.model.parts.thickness.min()

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from piezomat.assembly.problem import Problem
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.convergence import Convergence
+from piezomat.solver.first_contact import settle
 from piezomat.solver.linear import LinearSolver
 from piezomat.solver.linear_solve import solve
 from piezomat.solver.outcome import NewtonReport
@@ -43,6 +44,7 @@ class StartValue:
         closely: with the close tolerance of a Krylov solver, not that of a start value.
         """
         problem, right, step = self.problem, self._right, self._change
+        settle(problem)
         fixed = problem.model.constraints.fixed
         problem.residual(problem.state, right)
         right.scale(-1.0)

@@ -32,6 +32,11 @@ class Shape(BaseModel):
         """Least extent of the smallest body (um)."""
         raise NotImplementedError
 
+    @property
+    def area(self) -> float | None:
+        """Area of the box seen from above (um2; in 2D its width, um); None where bodies do not fill a box."""
+        return None
+
     def measure(self) -> float:
         """Area or volume (um2, um3) of all bodies, about: the number of cells is estimated from it."""
         return len(self.bodies()) * self.size() ** self.dimension

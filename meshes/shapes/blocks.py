@@ -62,6 +62,10 @@ class StackedBlocks(Shape):
         each = [f"{body}_{side}" for body in self.bodies() for side in sides]
         return (*sides, *(f"{body}_contact" for body in self.bodies()), *each)
 
+    @property
+    def area(self) -> float | None:
+        return None if self.tilt else self.width * (self.depth or 1.0)
+
     def size(self) -> float:
         return min([*self.height, self.width] + ([] if self.depth is None else [self.depth]))
 
@@ -130,6 +134,10 @@ class Cantilever(Shape):
     def facet_groups(self) -> tuple[str, ...]:
         sides = ("root", "tip", "bottom", "top") + (() if self.width is None else ("front", "back"))
         return (*sides, *(f"interface_{i}" for i in range(1, len(self.layers))))
+
+    @property
+    def area(self) -> float:
+        return self.length * (self.width or 1.0)
 
     def size(self) -> float:
         return min([self.length, *self.layers] + ([] if self.width is None else [self.width]))

@@ -92,6 +92,10 @@ class FiberArray(FiberShape):
         least = 2.0 * float(self.discs[:, 2].min())
         return least if self.length is None else min(least, self.length)
 
+    @property
+    def area(self) -> float:
+        return float(np.diff(self._box[:, 0])[0]) * (self.length or 1.0)
+
     @cached_property
     def _box(self) -> Array:
         """Least and largest coordinates (2, 2) of the array, across and up (um)."""

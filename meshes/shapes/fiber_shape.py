@@ -32,11 +32,6 @@ class FiberShape(Shape):
         """The fibers, from below."""
         raise NotImplementedError
 
-    @property
-    def area(self) -> float | None:
-        """Area of the box seen from above (um2); None: that of the box around the fibers."""
-        return None
-
     def end_groups(self) -> dict[str, tuple[int, float]]:
         """Groups of ends that lie in planes: axis and coordinate (um) of each."""
         return {}

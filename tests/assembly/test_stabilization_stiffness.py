@@ -26,7 +26,7 @@ def lifted(model: Model, height: float) -> PETSc.Vec:
 def test_springs_of_a_volume_bear_a_rigid_motion(comm: MPI.Comm) -> None:
     """Of the upper block alone: force, work and share of the load, from the volume and the stiffness."""
     model = blocks(comm, boundaries=[{"on": "bottom", "displacement": [0, 0], "potential": 0}])
-    springs = StabilizationStiffness(model, model.new_vector())
+    springs = StabilizationStiffness(model)
     assert springs.is_active
     material = model.materials[1]
     stiffness = RELATIVE_STIFFNESS * material.mean_stiffness / model.parts.size[1] ** 2 * WIDTH * HEIGHT
@@ -48,7 +48,8 @@ def test_residual_tangent_and_factor_agree(comm: MPI.Comm) -> None:
     """Matrix times state plus the constant part is the residual, at any factor, and zero at the converged state."""
     model = blocks(comm)
     converged = lifted(model, 0.1)
-    springs = StabilizationStiffness(model, converged)
+    springs = StabilizationStiffness(model)
+    springs.start(converged)
     matrix = PETSc.Mat().createAIJ((converged.getSizes(), converged.getSizes()), nnz=1, comm=comm)
     matrix.setUp()
     first, last = matrix.getOwnershipRange()
@@ -71,7 +72,7 @@ def test_residual_tangent_and_factor_agree(comm: MPI.Comm) -> None:
 def test_parts_that_boundaries_constrain_have_no_springs(comm: MPI.Comm) -> None:
     rows = [{"on": on, "displacement": [0, 0], **given} for on, given in (("bottom", {"potential": 0}), ("top", {}))]
     model = blocks(comm, boundaries=rows)
-    springs = StabilizationStiffness(model, model.new_vector())
+    springs = StabilizationStiffness(model)
     state, residual = lifted(model, 0.2), model.new_vector()
     springs.add_residual(state, residual)
     assert not springs.is_active and residual.norm() == 0.0 and springs.work(state) == 0.0

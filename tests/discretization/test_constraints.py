@@ -118,7 +118,7 @@ def test_ties(comm: MPI.Comm) -> None:
         state[unknowns.owned :, 2] = [5.0, 7.0]
     vector.array[:] = state.ravel()
     constraints.expand(vector)
-    np.testing.assert_array_equal(constraints.ties.values(vector), [5.0, 7.0])
+    np.testing.assert_array_equal(constraints.potentials.values(vector), [5.0, 7.0])
     tied = [electrode.nodes for electrode in constraints.electrodes]
     # The upper block has no permittivity, and so no part in an electrode.
     lower = model.parts.node_part[: unknowns.owned] == 0
@@ -131,7 +131,7 @@ def test_ties(comm: MPI.Comm) -> None:
     sums = constraints.ties.sums(vector)
     np.testing.assert_array_equal(sums, [1.0 + comm.allreduce(len(nodes)) for nodes in tied])
     constraints.reduce(vector)
-    np.testing.assert_array_equal(constraints.ties.values(vector), [sums[0], 0.0])
+    np.testing.assert_array_equal(constraints.potentials.values(vector), [sums[0], 0.0])
     np.testing.assert_array_equal(vector.array_r[constraints.eliminated], 0.0)
     values = constraints.values({"push": 3.0})
     if unknowns.references_here:
