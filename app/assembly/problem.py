@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from dolfinx.fem import Function
@@ -16,6 +15,7 @@ from piezomat.assembly.nodal_loads import NodalLoads
 from piezomat.assembly.stabilization_stiffness import StabilizationStiffness
 from piezomat.assembly.tangent_matrix import TangentMatrix
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
 from piezomat.contact.pushed_planes import free_travels
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
@@ -27,11 +27,8 @@ from piezomat.usage import Timer, give_back_memory
 ROUNDING = 1e-12  # of the potential of a strain of one
 
 
-class CondensedBulk(Protocol):
-    """A statically condensed bulk: its residual as a function of the retained unknowns, the others in equilibrium."""
-
-    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = residual of the bulk at x."""
+# result = residual with reactions at x of all but contact.
+ResidualWithoutContact = Callable[[PETSc.Vec, PETSc.Vec], None]
 
 
 class Problem:
@@ -52,7 +49,6 @@ class Problem:
     prescribed_values (k,): of the fixed unknowns at the present load level, in the order of `Constraints.fixed`
     residual_with_reactions: R at the last `residual`; at fixed unknowns the reactions less the loads there
     stiffness_version: number of times that the tangent without contact has changed
-    condensed: what evaluates the residual of bulk, loads and stabilization instead of these; None: they do
     is_linear: whether one linear solve is enough
     largest_force, uN (2D: per um of depth): forces of a strain of one, and of a penetration as large as the coordinates
         that gaps are computed from; rounding is a share of it
@@ -78,7 +74,6 @@ class Problem:
         self._matrix: TangentMatrix | None = None
         self._terms: ContactTerms | None = None
         self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
-        self.condensed: CondensedBulk | None = None
         self.stiffness_version = 0
         self.is_linear = contact is None and self.bulk.is_constant
         length = float(model.parts.size.max())
@@ -155,8 +150,7 @@ class Problem:
             self.contact.resume(read, scalars)
 
     def pair(self, margin: float) -> None:
-        """Detect contact at the present state with a search radius `margin` (um); ends a static condensation."""
-        self.condensed = None  # where a solve has failed on the way, its interior is not that of this state
+        """Detect contact at the present state with a search radius `margin` (um)."""
         if self.contact is None:
             return
         with self.timer("contact"):
@@ -186,16 +180,22 @@ class Problem:
 
     # --- residual
 
-    def residual(self, x: PETSc.Vec, result: PETSc.Vec, *, search: bool = True) -> None:
+    def residual(
+        self,
+        x: PETSc.Vec,
+        result: PETSc.Vec,
+        mode: EvaluationMode = COMPLETE,
+        without_contact: ResidualWithoutContact | None = None,
+    ) -> None:
         """result = T^T R(x), zero at the eliminated unknowns, not a number where contact cannot be evaluated.
 
-        Sets `residual_with_reactions`. search: see `Interfaces.evaluate`.
+        Sets `residual_with_reactions`. without_contact: what evaluates the residual of all other terms; None: they do.
         """
         with self.timer("assembly"):
-            self._residual_without_contact(x)
+            (without_contact or self._residual_without_contact)(x, self.residual_with_reactions)
         if self.contact is not None:
             with self.timer("contact"):
-                terms = self.contact.evaluate(x, tangent=False, search=search)
+                terms = self.contact.evaluate(x, mode, tangent=False)
                 self.contact.add_residual(terms, self.residual_with_reactions)
                 if self.contact.evaluation_failed:
                     self.residual_with_reactions.set(np.nan)
@@ -203,8 +203,8 @@ class Problem:
         self.model.constraints.reduce(result)
 
     def bulk_residual(self, x: PETSc.Vec) -> PETSc.Vec:
-        """Residual with reactions at x of all but contact; a new vector."""
-        self._residual_without_contact(x)
+        """Residual with reactions at x of all but contact, which `residual_with_reactions` then is; a new vector."""
+        self._residual_without_contact(x, self.residual_with_reactions)
         return self.residual_with_reactions.copy()
 
     def external_forces(self) -> Array:
@@ -215,11 +215,7 @@ class Problem:
             self.contact.add_forces_of_planes(self._work)
         return self.model.unknowns.norms(self._work)
 
-    def _residual_without_contact(self, x: PETSc.Vec) -> None:
-        result = self.residual_with_reactions
-        if self.condensed is not None:
-            self.condensed.residual(x, result)
-            return
+    def _residual_without_contact(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         if self.bulk.is_constant:
             self._stiffness.mult(x, result)  # the springs' forces at x included
         else:
@@ -233,7 +229,7 @@ class Problem:
 
     # --- tangent
 
-    def linearize(self, x: PETSc.Vec) -> None:
+    def linearize(self, x: PETSc.Vec, mode: EvaluationMode = COMPLETE) -> None:
         """Take the tangent at x for `multiply`, `tangent`, `contact_terms` and `linearized_contact_residual`."""
         if not self.bulk.is_constant:
             with self.timer("assembly"):
@@ -242,7 +238,7 @@ class Problem:
                 self._renew_stiffness()
         if self.contact is not None:
             with self.timer("contact"):
-                self._terms = self.contact.evaluate(x, tangent=True)
+                self._terms = self.contact.evaluate(x, mode, tangent=True)
 
     def tangent(self) -> tuple[PETSc.Mat, bool]:
         """The tangent T^T K T as a matrix, and whether its pattern differs from the last."""

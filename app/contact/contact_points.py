@@ -97,7 +97,7 @@ class ContactPoints(ABC):
         """Number of the set of points among those of its pair, for `keys`."""
 
     @abstractmethod
-    def evaluate(self, at: NodalState, *, tangent: bool, viscous: bool) -> ContactTerms:
+    def evaluate(self, at: NodalState, *, tangent: bool) -> ContactTerms:
         """Terms of the points at a state. LinAlgError, ValueError: facets have collapsed."""
 
     @abstractmethod
@@ -148,7 +148,7 @@ class ContactPoints(ABC):
         rows, gap, jump = self.projected_points, self.projection.gap, self.jump
         if self.predicted is not None:
             gap, jump = gap + self.predicted[0], None if jump is None else jump + self.predicted[1]
-        mode = {"attraction": at.attraction, "consistent": at.consistent_tangent}
+        mode = {"attraction": at.mode.attraction, "consistent": at.mode.consistent}
         return augmented_response(self.law[rows], gap, jump, self.history[rows], shift, **mode)
 
     def _forces(self) -> tuple[Array, Array]:

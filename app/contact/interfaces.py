@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.contact.contact_points import ContactPoints, Snapshot
-from piezomat.contact.nodal_state import NodalState
+from piezomat.contact.nodal_state import COMPLETE, EvaluationMode, NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.search import ContactSearch
@@ -26,13 +26,6 @@ from piezomat.meshes import parallel
 from piezomat.meshes.contact.global_search import share_facets
 
 log = logging.getLogger("piezomat")
-
-# Relative residual below which the tangent is consistent. Further from equilibrium tractions and potential jumps are
-# wrong by much more than two of its parts are worth, which would make it indefinite for nothing: the geometric
-# stiffness, and the negative stiffness of the electric attraction.
-CONSISTENT = 1e-2
-# The same with unconstrained bodies: on some of them nothing but the attraction acts, a small part of all forces.
-CONSISTENT_UNCONSTRAINED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -55,7 +48,6 @@ class Interfaces:
     largest_penalty: MPa/um
     interaction_range: largest gap with a traction or a charge, um
     evaluation_failed: whether facets had collapsed at the last evaluation, on any rank
-    attraction: whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`
     viscous_regularization: whether bonds resist their opening
     last_penetration: deepest penetration at the end of the last converged step, um
     """
@@ -102,10 +94,8 @@ class Interfaces:
         # This rank's own slave and master facets; the ghost facets that it sees change with every detection.
         self._own_nodes = self._seen([facets.nodes for p in self.surface_pairs for facets in (p.slave, p.master)])
         self.evaluation_failed = False
-        self.attraction = True
         self.viscous_regularization = False
         self.last_penetration = 0.0
-        self._consistent_tangent = True
         nodes_per_pair = 2 * self.point_sets[0].slave.nodes.shape[1]
         self._none = {t: ContactTerms.none(nodes_per_pair, self.block_size, tangent=t) for t in (False, True)}
         self._plane_terms: list[ContactTerms] = []
@@ -141,7 +131,6 @@ class Interfaces:
         for plane in self.planes:
             plane.detect(self.nodes, position, search_radius)
         self._search.restart(displacement, search_radius)
-        self._consistent_tangent = True
 
     @property
     def detected_positions(self) -> Array:
@@ -174,14 +163,9 @@ class Interfaces:
         """Let `candidate_nodes` find what is as far as this from touching, um."""
         self._search.candidate_distance = distance
 
-    def set_tolerance_and_tangent(self, iteration: int, residual: float, *, unconstrained: bool) -> None:
-        """Set, for the coming Newton iteration, the projection tolerance and whether the tangent is consistent.
-
-        The tolerance grows with the iteration, against cycling between two facets; the tangent is consistent below a
-        relative residual. unconstrained: whether nothing but contact and weak stabilization holds some of the bodies.
-        """
+    def set_iteration(self, iteration: int) -> None:
+        """Set the projection tolerance of a solve's Newton iteration: it grows, against cycling between facets."""
         self._search.set_iteration(iteration)
-        self._consistent_tangent = residual < (CONSISTENT_UNCONSTRAINED if unconstrained else CONSISTENT)
 
     def tighten_projection_tolerance(self) -> bool:
         """Lower the projection tolerance to that of the end of a solve; whether it was larger."""
@@ -205,20 +189,20 @@ class Interfaces:
 
     # --- Evaluation ---
 
-    def evaluate(self, state: PETSc.Vec, *, tangent: bool, search: bool = True) -> ContactTerms:
+    def evaluate(self, state: PETSc.Vec, mode: EvaluationMode = COMPLETE, *, tangent: bool) -> ContactTerms:
         """Contact's share of residual and tangent at a state.
 
-        Without `search` points without a closest point at the last evaluation get none. `search_radius_exceeded` and
-        `evaluation_failed` say whether the terms can be used; they are none after a failure.
+        `search_radius_exceeded` and `evaluation_failed` say whether the terms can be used; they are none after a
+        failure.
         """
         values = self.nodes.gather(state)
-        limits = self._search.limits(values[:, : self.dim], search=search, depth=2.0 * self.last_penetration)
-        at = self.state = self.nodal_state(values)
+        limits = self._search.limits(values[:, : self.dim], search=mode.search, depth=2.0 * self.last_penetration)
+        at = self.state = self.nodal_state(values, mode)
         position = at.position
         terms: list[ContactTerms] = []
         try:
             self._search.update(position, limits)
-            terms = [p.evaluate(at, tangent=tangent, viscous=self.viscous_regularization) for p in self.point_sets]
+            terms = [p.evaluate(at, tangent=tangent) for p in self.point_sets]
             failed = False
         except (np.linalg.LinAlgError, ValueError) as error:
             log.debug("contact cannot be evaluated at this state: %s", error)
@@ -232,12 +216,12 @@ class Interfaces:
         self._plane_terms = terms[len(self.surface_pairs) :]
         return ContactTerms.joined([self._none[tangent], *terms])
 
-    def nodal_state(self, values: Array) -> NodalState:
-        """The state at these unknowns (n, block) of the seen nodes."""
+    def nodal_state(self, values: Array, mode: EvaluationMode) -> NodalState:
+        """The state at these unknowns (n, block) of the seen nodes, evaluated in this mode."""
         position = self.nodes.reference + values[:, : self.dim]
         potentials = values[:, self.dim] if self.potential_scale is not None else None
-        mode = self.attraction, self._consistent_tangent
-        return NodalState(position, potentials, self.block_size, self.potential_scale, *mode)
+        mode = replace(mode, viscous=mode.viscous and self.viscous_regularization)
+        return NodalState(position, potentials, self.block_size, self.potential_scale, mode)
 
     def predict(self, change: PETSc.Vec) -> Array:
         """Let contact respond from now on as after this change of the state of its last evaluation.

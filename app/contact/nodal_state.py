@@ -1,4 +1,4 @@
-"""The state of the nodes at which contact is evaluated, and what of its law and tangent is taken into account."""
+"""At what contact is evaluated: the state of the nodes, and what of its law and tangent is taken into account."""
 
 from __future__ import annotations
 
@@ -8,19 +8,36 @@ from piezomat.forms.arrays import Array
 
 
 @dataclass(frozen=True)
+class EvaluationMode:
+    """What an evaluation takes into account: at an equilibrium all of it, on the way to one not what does harm there.
+
+    attraction: whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`
+    consistent: whether the tangent has the geometric stiffness and the negative stiffness of the attraction
+    viscous: whether viscous bonds resist their opening, where there are any
+    search: whether points without a closest point at the last evaluation may get one
+    """
+
+    attraction: bool = True
+    consistent: bool = True
+    viscous: bool = True
+    search: bool = True
+
+
+COMPLETE = EvaluationMode()
+
+
+@dataclass(frozen=True)
 class NodalState:
     """Positions and potentials of the nodes that a rank sees, and the mode of the evaluation.
 
     position (n, d): um
     potentials (n,): potential unknowns; times `scale` they are V. Both are None without potentials
     block_size: number of unknowns of a node
-    attraction: whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`
-    consistent_tangent: whether the tangent has the geometric stiffness and the negative stiffness of the attraction
+    mode: what is taken into account; viscous bonds only where there are any
     """
 
     position: Array
     potentials: Array | None
     block_size: int
     scale: float | None
-    attraction: bool
-    consistent_tangent: bool
+    mode: EvaluationMode

@@ -6,6 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.nodal_state import EvaluationMode
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
@@ -23,12 +24,12 @@ def free_travels(contact: Interfaces) -> Array:
     return np.maximum(gap, 0.0) / np.array([p.normal @ p.direction for p in pushed])
 
 
-def push(contact: Interfaces, state: PETSc.Vec) -> tuple[Array, Array]:
+def push(contact: Interfaces, state: PETSc.Vec, mode: EvaluationMode) -> tuple[Array, Array]:
     """Forces (k,) of planes by force on the bodies at a state, along their travels, uN; derivatives by these."""
-    at, pushed = contact.nodal_state(contact.nodes.gather(state)), _pushed(contact)
+    at, pushed = contact.nodal_state(contact.nodes.gather(state), mode), _pushed(contact)
     values = np.zeros((2, len(pushed)))
     for column, p in enumerate(pushed):
-        p.evaluate(at, tangent=False, viscous=False)
+        p.evaluate(at, tangent=False)
         weight = p.points.weight[p.projected_points]
         stiffness = (p.normal @ p.direction) ** 2 * float(weight @ p.response.curvature)
         values[:, column] = p.force @ p.direction, stiffness

@@ -121,7 +121,7 @@ class RigidPlane(ContactPoints):
         outward = point_normals(self.slave.kind, self.points.xi[near], corners[facet], self.slave.orientation[facet])
         self.near_points = self.projected_points = near[outward @ self.normal < FACING]
 
-    def evaluate(self, at: NodalState, *, tangent: bool, viscous: bool) -> ContactTerms:
+    def evaluate(self, at: NodalState, *, tangent: bool) -> ContactTerms:
         """Terms of the near points; a plane has no adhesion, and so no viscous bonds."""
         rows, d = self.projected_points, len(self.normal)
         shape, facet = self.points.shape[rows], self.points.facet[rows]

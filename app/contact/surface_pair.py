@@ -195,8 +195,8 @@ class SurfacePair(ContactPoints):
 
     # --- Evaluation ---
 
-    def evaluate(self, at: NodalState, *, tangent: bool, viscous: bool) -> ContactTerms:
-        """Terms of the projected points at the state that they were projected at; viscous: with viscous bonds."""
+    def evaluate(self, at: NodalState, *, tangent: bool) -> ContactTerms:
+        """Terms of the projected points at the state that they were projected at."""
         kind, rows, master = self.slave.kind, self.projected_points, self.master_facet
         facet, xi, shape = self.points.facet[rows], self.points.xi[rows], self.points.shape[rows]
         self.jump = None
@@ -207,7 +207,7 @@ class SurfacePair(ContactPoints):
         shift = self._shift(facet, xi)
         self.gap = self.projection.gap + shift[0]
         r = self.response = self._respond(at, shift)
-        if viscous:
+        if at.mode.viscous:
             r.slope = r.slope + self.viscous_bonds.traction(self.projection.gap, rows)
             r.curvature = r.curvature + self.viscous_bonds.stiffness[rows]
         active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
@@ -228,7 +228,7 @@ class SurfacePair(ContactPoints):
             at.block_size,
             there[active] if self.jump is not None else None,
             tangent=tangent,
-            geometric_stiffness=at.consistent_tangent,
+            geometric_stiffness=at.mode.consistent,
             roundings=self.facets.roundings_of(facet, master),
         )
         d = at.position.shape[1]

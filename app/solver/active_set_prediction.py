@@ -17,6 +17,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import EvaluationMode
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.linear import LinearSolver
 from piezomat.solver.outcome import NewtonReport
@@ -59,14 +60,16 @@ class ActiveSetPrediction:
     @property
     def is_cheap(self) -> bool:
         """Whether a solve is for few candidates of contact alone."""
-        condensation = self.linear.condensation
-        return condensation is not None and len(condensation.candidates) * condensation.block <= CANDIDATE_LIMIT
+        candidates = self.linear.candidates * self.problem.model.unknowns.block
+        return self.linear.equations.can_be_reduced and candidates <= CANDIDATE_LIMIT
 
-    def correct(self, x: PETSc.Vec, change: PETSc.Vec, residual: float, report: NewtonReport) -> None:
+    def correct(
+        self, x: PETSc.Vec, change: PETSc.Vec, residual: float, report: NewtonReport, mode: EvaluationMode
+    ) -> None:
         """Correct a linear solve's change of x until contact responds to it as predicted: the best that is found.
 
-        Only where a solve is cheap. Bonds that break are left to small steps. residual: the relative one at x. The
-        matrix of the last linear solve may be another one afterwards.
+        Only where a solve is cheap. Bonds that break are left to small steps. residual: the relative one at x. mode:
+        in which contact was linearized. The matrix of the last linear solve may be another one afterwards.
         """
         problem, contact, ksp = self.problem, self.problem.contact, self.snes.getKSP()
         if not self.is_cheap or self.poor_steps >= MAX_POOR_STEPS or contact.adhesive or contact.evaluation_failed:
@@ -83,10 +86,10 @@ class ActiveSetPrediction:
                 break
             # The bulk is linear, and stays in balance with the contact forces that were predicted before.
             problem.linearized_contact_residual(change, self._right)
-            self.linear.linearize(x)
-            if self.linear.condensation.candidates_exceeded:
-                self.linear.condensation.discard()
-                self.linear.linearize(x)  # with more candidates
+            self.linear.linearize(x, mode)
+            if self.linear.equations.is_exceeded:
+                self.linear.equations.discard()
+                self.linear.linearize(x, mode)  # with more candidates
             problem.linearized_contact_residual(change, self._work)
             self._right.axpy(-1.0, self._work)
             problem.model.constraints.reduce(self._right)

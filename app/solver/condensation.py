@@ -42,6 +42,7 @@ class Condensation:
 
     candidates (n,): global nodes that the bulk is condensed to, sorted, the same on all ranks.
     candidates_exceeded: whether contact has spread beyond them since `start`.
+    is_reduced: whether the interior is left behind: since `start`, until `recover` or `discard`.
     factor_solves: solves with the factors of the bulk so far.
     """
 
@@ -57,6 +58,7 @@ class Condensation:
         self._distance = CANDIDATE_DISTANCE * motion
         problem.contact.set_candidate_distance(self._distance)
         self.candidates_exceeded = False
+        self.is_reduced = False
         self.factor_solves = 0
         self._stiffness_version = -1  # of the bulk that is condensed
         self._factors = SchurFactors()
@@ -182,11 +184,6 @@ class Condensation:
         # Symmetric as it is, its transpose lies in memory as LAPACK wants it.
         self._lu = scipy.linalg.lu_factor(tangent.T, overwrite_a=True, check_finite=False)
 
-    @property
-    def is_reduced(self) -> bool:
-        """Whether the interior is left behind: since `start`, until `recover` or until surfaces are searched anew."""
-        return self.problem.condensed is self
-
     def start(self, x: PETSc.Vec) -> None:
         """If the interior is in balance at x, leave it there: the problem's states are reduced to the candidates."""
         if self.is_reduced:
@@ -197,7 +194,7 @@ class Condensation:
         r[self._eliminated] = 0.0
         if self._is_balanced(r, scale):
             self._base, self._base_residual = self._scatter.gather(x), residual
-            self.problem.condensed, self.candidates_exceeded = self, False
+            self.is_reduced, self.candidates_exceeded = True, False
 
     def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Residual of the bulk at x, its interior in balance; at prescribed unknowns still that of `start`."""
@@ -229,7 +226,7 @@ class Condensation:
 
     def discard(self) -> None:
         """End the reduction; the interior stays where it is, and is solved for again."""
-        self.problem.condensed, self.candidates_exceeded = None, False
+        self.is_reduced, self.candidates_exceeded = False, False
 
     def _is_balanced(self, r: Array, scale: float) -> bool:
         """Whether the interior part of r is rounding, compared to `scale`."""

@@ -66,13 +66,12 @@ class EndChecks:
         return False
 
     def _repair_interior(self) -> bool:
-        """Recover the interior of a condensed bulk; go on where contact spread beyond the candidates."""
-        problem, condensation = self.problem, self.linear.condensation
-        if condensation is None:
+        """Recover what reduced equations have left behind; go on where contact was more than they can hold."""
+        problem, equations = self.problem, self.linear.equations
+        if not equations.can_be_reduced:
             return False
-        with problem.timer("linear_solve"):
-            if condensation.recover(problem.state):
-                return True
+        if equations.recover(problem.state):
+            return True
         if self.snes.getConvergedReason() <= 0:
             return False
         problem.residual(problem.state, self._residual)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import EvaluationMode
 from piezomat.contact.pushed_planes import push
 
 MAX_ITERATIONS = 60  # halvings of a start that is too deep by far
@@ -18,20 +19,20 @@ TOLERANCE = 1e-3  # of the force
 FIRST = 1e-3  # of a facet: first depth
 
 
-def settle(problem: Problem) -> None:
+def settle(problem: Problem, mode: EvaluationMode) -> None:
     """Press planes by force that touch nothing, at the problem's state, into bodies at rest. Collective."""
     contact, travels = problem.contact, problem.model.constraints.travels
     if contact is None or not len(travels):
         return
     wanted = problem.model.loads.forces[-len(travels) :]
-    force, _ = push(contact, problem.state)
+    force, _ = push(contact, problem.state, mode)
     apart = (wanted > 0.0) & (force == 0.0)
     if not apart.any():
         return
     depth = np.where(apart, FIRST * contact.mean_facet_size, 0.0)
     travels.add_values(problem.state, depth)
     for _ in range(MAX_ITERATIONS):
-        force, stiffness = push(contact, problem.state)
+        force, stiffness = push(contact, problem.state, mode)
         missing = np.where(apart, wanted - force, 0.0)
         if (np.abs(missing) <= TOLERANCE * wanted).all():
             return

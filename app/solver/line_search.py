@@ -20,11 +20,15 @@ instead of 20.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
+from piezomat.solver.linear import LinearSolver
 
 SLOPE_REDUCTION = 0.5  # largest slope where a search ends, share of the first slope
 CONVERGING = 0.1  # share of the residual that a whole step leaves at most if it is taken without a look at the slope
@@ -40,27 +44,29 @@ class LineSearch:
     The residual of the last trial is kept: SNES asks for it next if it takes the whole step.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, linear: LinearSolver) -> None:
         self.problem = problem
+        self.linear = linear
         self._point = problem.state.duplicate()  # of the last trial
         self._residual = problem.state.duplicate()  # at that point
         self._is_whole_step = False
+        self._mode = COMPLETE
 
     def start(self) -> None:
         """Begin a solve: forget the trials of the last one."""
         self._is_whole_step = False
 
-    def residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+    def residual(self, x: PETSc.Vec, result: PETSc.Vec, mode: EvaluationMode) -> None:
         """Residual at x, which SNES has chosen."""
         is_trial, self._is_whole_step = self._is_whole_step and x.equal(self._point), False
         if is_trial:
             self._residual.copy(result)
         else:
-            self.problem.residual(x, result)
+            self.linear.equations.residual(x, result, mode)
 
-    def search(self, x: PETSc.Vec, step: PETSc.Vec, residual: PETSc.Vec) -> float:
+    def search(self, x: PETSc.Vec, step: PETSc.Vec, residual: PETSc.Vec, mode: EvaluationMode) -> float:
         """Shorten the step from x, where the residual is given; the share of its norm that the whole step leaves."""
-        here = residual.norm()
+        self._mode, here = mode, residual.norm()
         self._trial_residual(x, step, 1.0)
         left = self._residual.norm() / here
         if left <= CONVERGING:
@@ -106,7 +112,8 @@ class LineSearch:
         step.copy(self._point)
         self._point.aypx(-length, x)
         self._is_whole_step = length == 1.0
-        self.problem.residual(self._point, self._residual, search=self._is_whole_step)
+        mode = replace(self._mode, search=self._is_whole_step)
+        self.linear.equations.residual(self._point, self._residual, mode)
 
     def _product(self, residual: PETSc.Vec, step: PETSc.Vec) -> float:
         """Displacements' part of residual . step."""

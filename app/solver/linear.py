@@ -7,10 +7,12 @@ from typing import Any
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.scene.sections import Solver
 from piezomat.solver.callbacks import CallbackErrors, callback, not_numbers
 from piezomat.solver.condensation import Condensation
+from piezomat.solver.equations import Equations, ReducedProblem, WholeProblem
 from piezomat.solver.multigrid import Multigrid
 from piezomat.solver.outcome import SINGULAR
 from piezomat.solver.tangent_operator import TangentOperator
@@ -45,7 +47,7 @@ def linear_solver(problem: Problem, keys: Solver) -> LinearSolver:
 class Direct:
     """Factorizations: of the whole tangent, or once of its constant bulk and then of the contact's share alone.
 
-    condensation: the bulk condensed to the candidates of contact; None where the whole tangent is factorized.
+    equations: what is solved, the problem or its reduced form.
     operators: the last tangent and the matrix that its preconditioner is made from, for PETSc's KSP.
     callback_errors: of what PETSc calls here. failure: words for a linear solve that fails.
     The tolerances are those of a Krylov solver: none.
@@ -59,16 +61,30 @@ class Direct:
         self.problem = problem
         chosen_by_scene = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
         constant = problem.contact is not None and problem.bulk.is_constant and problem.is_symmetric
-        self.condensation: Condensation | None = Condensation(problem) if constant and not chosen_by_scene else None
+        self._condensation: Condensation | None = Condensation(problem) if constant and not chosen_by_scene else None
+        self._counted = self._condensation
+        self.equations: Equations = WholeProblem(problem)
+        if self._condensation is not None:
+            self.equations = ReducedProblem(problem, self._condensation)
         self.callback_errors = CallbackErrors()
         self._operator = TangentOperator(problem, self.callback_errors)
+
+    @property
+    def factor_solves(self) -> int:
+        """Solves with the factors of a condensed bulk so far."""
+        return 0 if self._counted is None else self._counted.factor_solves
+
+    @property
+    def candidates(self) -> int:
+        """Number of nodes that the bulk is or was condensed to."""
+        return 0 if self._counted is None else len(self._counted.candidates)
 
     def close(self) -> None:
         """Part from PETSc's objects, which hold this one, and free the factors. Ends its use."""
         self._operator.close()
         self._pc.destroy()
-        if self.condensation is not None:
-            self.condensation.close()
+        if self._condensation is not None:
+            self._condensation.close()
 
     def options(self) -> dict[str, Any]:
         """PETSc options, without SNES's prefix."""
@@ -78,24 +94,24 @@ class Direct:
         """Set up SNES's Krylov solver."""
         ksp.setType(PETSc.KSP.Type.PREONLY)
         self._pc = ksp.getPC()
-        if self.condensation is not None:
+        if self._condensation is not None:
             self._pc.setType(PETSc.PC.Type.PYTHON)
             self._pc.setPythonContext(self)
         else:
             self._factorize_all()
 
-    def linearize(self, x: PETSc.Vec) -> None:
+    def linearize(self, x: PETSc.Vec, mode: EvaluationMode = COMPLETE) -> None:
         """Take the tangent at x: `operators` are then its."""
-        self.problem.linearize(x)
-        if self.condensation is not None:
+        self.problem.linearize(x, mode)
+        if self._condensation is not None:
             with self.problem.timer("linear_solve"):
                 share = max(CONDENSED_SHARE * self.problem.model.unknowns.total, CONDENSED_ALWAYS)
-                few = self.condensation.update(min(CONDENSED_LIMIT, share))
+                few = self._condensation.update(min(CONDENSED_LIMIT, share))
             if few:
                 self.operators = self._operator.matrix, self._operator.matrix
                 return
-            self.condensation.close()
-            self.condensation = None
+            self._condensation.close()
+            self._condensation, self.equations = None, WholeProblem(self.problem)
             self._factorize_all()
         matrix, _ = self.problem.tangent()
         self.operators = matrix, matrix
@@ -103,7 +119,7 @@ class Direct:
     @callback(instead=not_numbers)
     def apply(self, pc: PETSc.PC, right: PETSc.Vec, result: PETSc.Vec) -> None:
         """Solve the condensed system: PETSc's shell preconditioner, an exact one."""
-        self.condensation.solve(right, result)
+        self._condensation.solve(right, result)
 
     def _factorize_all(self) -> None:
         # LDL^T of the symmetric tangent takes half the work of LU; both can pivot on its negative block.

@@ -9,11 +9,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.discretization.rigid_bodies import rigid_modes
 from piezomat.scene.sections import Solver
 from piezomat.solver import coarse_space
 from piezomat.solver.callbacks import CallbackErrors
+from piezomat.solver.equations import WholeProblem
 from piezomat.solver.tangent_operator import TangentOperator
 
 START_TOLERANCE = 0.1  # of the linear solve that gives Newton's method its start value
@@ -33,17 +35,18 @@ class Multigrid:
 
     operators: the last tangent and the matrix that its preconditioner is made from, for PETSc's KSP.
     start_tolerance, close_tolerance: relative tolerances of the start value and of a close solve; None where the scene
-    sets one for all. callback_errors, failure, condensation: see `Direct`; the last two none here.
+    sets one for all. equations, callback_errors, failure, factor_solves, candidates: see `Direct`; the last three none.
     """
 
     failure = ""
-    condensation = None
+    factor_solves = candidates = 0
     start_tolerance: float | None = START_TOLERANCE
     close_tolerance: float | None
     operators: tuple[PETSc.Mat, PETSc.Mat]
 
     def __init__(self, problem: Problem, keys: Solver) -> None:
         self.problem = problem
+        self.equations = WholeProblem(problem)
         self.callback_errors = CallbackErrors()
         self._operator = TangentOperator(problem, self.callback_errors)
         self._rigid = _near_nullspace(problem.model, problem.comm)
@@ -88,9 +91,9 @@ class Multigrid:
         pc.setType(PETSc.PC.Type.FIELDSPLIT)
         pc.setFieldSplitIS(("u", u), ("phi", phi))
 
-    def linearize(self, x: PETSc.Vec) -> None:
+    def linearize(self, x: PETSc.Vec, mode: EvaluationMode = COMPLETE) -> None:
         """Take the tangent at x: `operators` are then its."""
-        self.problem.linearize(x)
+        self.problem.linearize(x, mode)
         if self._matrix is None or self._loose or self._has_aged():
             self._matrix, fresh = self.problem.tangent()
             if fresh and not self.problem.model.electric:

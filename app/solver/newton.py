@@ -13,11 +13,13 @@ SNES calls, in this order, the methods below: `_residual_at`, `_test_convergence
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.scene.errors import SceneError
@@ -37,6 +39,12 @@ from piezomat.solver.step_watch import StepWatch
 # Relative residual of the displacements below which electrostatic attraction acts on unconstrained bodies; above it, it
 # would throw them about.
 ATTRACTION = 1e-3
+# Relative residual below which the tangent is consistent. Further from equilibrium tractions and potential jumps are
+# wrong by much more than two of its parts are worth, which would make it indefinite for nothing: the geometric
+# stiffness, and the negative stiffness of the electric attraction.
+CONSISTENT = 1e-2
+# The same with unconstrained bodies: on some of them nothing but the attraction acts, a small part of all forces.
+CONSISTENT_UNCONSTRAINED = 1e-3
 MAX_REFINEMENTS = 5  # of a linear problem
 MAX_REPAIRS = 12  # of one solve
 
@@ -61,13 +69,14 @@ class Newton:
         self.snes.setOptionsPrefix(self._options.prefix)
         self.snes.setType(PETSc.SNES.Type.NEWTONLS)
         self.convergence = Convergence(problem, keys.tolerance)
-        self.line_search = LineSearch(problem)
+        self.line_search = LineSearch(problem, self.linear)
         self.prediction = ActiveSetPrediction(problem, self.linear, self.snes, self.convergence)
         self.start_value = StartValue(problem, self.linear, self.snes, self.convergence, self.prediction)
         self.checks = EndChecks(problem, self.linear, self.snes, self.convergence, keys.max_iterations)
         self._capacitance = Capacitance(problem, self.linear, self.snes)
         self._residual = problem.state.duplicate()
         self._report = NewtonReport()
+        self._mode = COMPLETE  # in which contact is evaluated in the present iteration
         self._timed_linear_solve = ExitStack()
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._residual_at, self._residual)
@@ -98,15 +107,14 @@ class Newton:
         search_radius (um): of the contact search at the start of the step. The effort is added to the report.
         """
         self._report, first = report, len(report.residuals)
-        condensation = self.linear.condensation
-        before = condensation.factor_solves if condensation is not None else 0
+        before = self.linear.factor_solves
         try:
             self._solve(search_radius)
             report.wandering = sum(residual > FAR for residual in report.residuals[first:])
         finally:
-            if condensation is not None:
-                report.factor_solves += condensation.factor_solves - before
-                report.candidates = len(condensation.candidates)
+            self.linear.equations.discard()  # of a solve that has failed on the way
+            report.factor_solves += self.linear.factor_solves - before
+            report.candidates = self.linear.candidates
 
     def capacitance(self) -> Array | None:
         """Capacitance matrix of the electrodes at the problem's state, see `Capacitance`; None without any."""
@@ -117,14 +125,15 @@ class Newton:
         for part in (self.convergence, self.line_search, self.prediction):
             part.start()
         self.checks.start(search_radius)
+        # Unconstrained bodies are thrown about by potentials that are not yet those of bodies in equilibrium.
+        attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
+        self._mode = EvaluationMode(attraction=attraction, consistent=False)
         if problem.contact is not None:
-            # Unconstrained bodies are thrown about by potentials that are not yet those of bodies in equilibrium.
-            problem.contact.attraction = not (problem.model.has_unconstrained_bodies and problem.model.electric)
-            problem.contact.set_tolerance_and_tangent(0, np.inf, unconstrained=problem.has_weakly_held_bodies)
+            problem.contact.set_iteration(0)
         self.watch.count()
         self.watch.end_step()
         with self._options.blamed():
-            self.start_value.step(report, closely=problem.is_linear)
+            self.start_value.step(report, self._mode, closely=problem.is_linear)
         if not self._options_are_checked:  # the parts of the linear solver are set up now, which the others are read by
             self._options.check_used(problem.comm, ("",))
             self._options_are_checked = True
@@ -150,21 +159,23 @@ class Newton:
 
     @callback(instead=not_numbers)
     def _residual_at(self, snes: PETSc.SNES, x: PETSc.Vec, result: PETSc.Vec) -> None:
-        self.line_search.residual(x, result)
+        self.line_search.residual(x, result, self._mode)
 
     @callback(instead=lambda *_: fenicsx.NOT_A_NUMBER)
     def _test_convergence(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
-        """Converged, diverged (not a number, or contact beyond the search or the candidates), or neither."""
-        contact, condensation = self.problem.contact, self.linear.condensation
-        if contact is not None and contact.search_radius_exceeded:
-            return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
-        if condensation is not None and condensation.candidates_exceeded:
+        """Converged, diverged (not a number, or contact beyond the search or the equations), or neither."""
+        contact, equations = self.problem.contact, self.linear.equations
+        if equations.is_exceeded or (contact is not None and contact.search_radius_exceeded):
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         residual = snes.getFunction()[0]
         relative = self.convergence.relative_norms(self.problem.model.unknowns.norms(residual))
-        if contact is not None and not contact.attraction and relative[0] <= ATTRACTION:
-            contact.attraction = True
-            self.problem.residual(snes.getSolution(), residual)
+        if (
+            contact is not None
+            and not self._mode.attraction
+            and relative[0] <= max(ATTRACTION, self.convergence.tolerance)
+        ):
+            self._mode = replace(self._mode, attraction=True)
+            equations.residual(snes.getSolution(), residual, self._mode)
             relative = self.convergence.relative_norms(self.problem.model.unknowns.norms(residual))
         largest = float(relative.max())
         self._report.residuals.append(largest)
@@ -181,13 +192,12 @@ class Newton:
     @callback(instead=nothing)
     def _tangent_at(self, snes: PETSc.SNES, x: PETSc.Vec, operator: PETSc.Mat, matrix: PETSc.Mat) -> None:
         problem, linear = self.problem, self.linear
+        limit = CONSISTENT_UNCONSTRAINED if problem.has_weakly_held_bodies else CONSISTENT
+        self._mode = replace(self._mode, consistent=self._report.residuals[-1] < limit)
         if problem.contact is not None:
-            problem.contact.set_tolerance_and_tangent(
-                snes.getIterationNumber(), self._report.residuals[-1], unconstrained=problem.has_weakly_held_bodies
-            )
-        linear.linearize(x)
-        if linear.condensation is not None:
-            linear.condensation.start(x)
+            problem.contact.set_iteration(snes.getIterationNumber())
+        linear.linearize(x, self._mode)
+        linear.equations.reduce(x)
         if [m.handle for m in linear.operators] != [operator.handle, matrix.handle]:
             snes.setJacobian(self._tangent_at, *linear.operators)
         self._timed_linear_solve.enter_context(problem.timer("linear_solve"))
@@ -200,14 +210,14 @@ class Newton:
         if self.problem.contact is None:
             return
         step.scale(-1.0)
-        self.prediction.correct(x, step, self._report.residuals[-1], self._report)
+        self.prediction.correct(x, step, self._report.residuals[-1], self._report, self._mode)
         step.scale(-1.0)
-        self.prediction.note_step(self.line_search.search(x, step, self._residual))
+        self.prediction.note_step(self.line_search.search(x, step, self._residual, self._mode))
 
     def _final_solve(self) -> None:
         """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
         if self.linear.close_tolerance is not None and self.problem.stabilization.is_active:
-            self.start_value.step(self._report, closely=True)
+            self.start_value.step(self._report, self._mode, closely=True)
             self.problem.residual(self.problem.state, self._residual)
 
     def _refine(self) -> None:
@@ -218,5 +228,5 @@ class Newton:
             residuals.append(self.convergence.relative_residual(self._residual))
             if residuals[-1] <= self.convergence.tolerance:
                 return
-            self.start_value.step(self._report, closely=True)
+            self.start_value.step(self._report, self._mode, closely=True)
         raise SolveError(f"the linear system was solved to a relative residual of {residuals[-1]:.1e} only")

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.nodal_state import EvaluationMode
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
 from piezomat.solver.outcome import SolveError
@@ -72,11 +73,11 @@ def snap_through_work(problem: Problem) -> Array | None:
     change = displacements(end) - displacements(problem.converged_state)
     reduced, d = end.duplicate(), problem.model.dim
     fixed = problem.model.constraints.is_fixed[:, :d]
-    is_viscous, contact.viscous_regularization = contact.viscous_regularization, False
+    without_viscosity = EvaluationMode(viscous=False)
 
     def power(share: float) -> Array:
         x = (1.0 - share) * problem.converged_state + share * end
-        problem.residual(x, reduced)
+        problem.residual(x, reduced, without_viscosity)
         held = unknowns.displacements(problem.residual_with_reactions) * change[: len(fixed)] * fixed
         applied = displacements(problem.loads.vector) * change
         outside, free = held.sum() - applied.sum(), -(displacements(reduced) * change).sum()
@@ -91,7 +92,7 @@ def snap_through_work(problem: Problem) -> Array | None:
     largest = max(x.norm(PETSc.NormType.NORM_INFINITY) for x in (problem.converged_state, end))
     rounding = ROUNDING * problem.largest_force * largest
     uncertain = max(SNAPPED * abs(values[-1][0] - values[0][0]), rounding)
-    snaps = is_viscous or found[0] - gained > uncertain
+    snaps = contact.viscous_regularization or found[0] - gained > uncertain
     for _ in range(MAX_HALVINGS if snaps else 0):
         count = 2 * (len(values) - 1)
         between = [power((2 * k + 1) / count) for k in range(count // 2)]
@@ -99,7 +100,6 @@ def snap_through_work(problem: Problem) -> Array | None:
         before, found = found, _simpson(values)
         if np.abs(found - before).max() <= max(ACCURACY * np.abs(found).max(), rounding):
             break
-    contact.viscous_regularization = is_viscous
     problem.residual(end, end.duplicate())
     return found if snaps else None
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.nodal_state import EvaluationMode
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.first_contact import settle
@@ -38,18 +39,19 @@ class StartValue:
         self._right = problem.state.duplicate()
         self._change = problem.state.duplicate()
 
-    def step(self, report: NewtonReport, *, closely: bool = False) -> None:
+    def step(self, report: NewtonReport, mode: EvaluationMode, *, closely: bool = False) -> None:
         """Change the problem's state by the solution of the tangent there; SolveError where the linear solve fails.
 
+        Contact is evaluated in this mode.
         closely: with the close tolerance of a Krylov solver, not that of a start value.
         """
         problem, right, step = self.problem, self._right, self._change
-        settle(problem)
+        settle(problem, mode)
         fixed = problem.model.constraints.fixed
-        problem.residual(problem.state, right)
+        self.linear.equations.residual(problem.state, right, mode)
         right.scale(-1.0)
         prescribed = problem.prescribed_change()
-        self.linear.linearize(problem.state)
+        self.linear.linearize(problem.state, mode)
         problem.multiply(prescribed, step)
         problem.model.constraints.reduce(step)
         right.axpy(-1.0, step)
@@ -63,7 +65,7 @@ class StartValue:
         if self.prediction.is_cheap:
             # From here on contact alone is out of balance: its prediction takes no solve inside the bodies.
             right.waxpy(1.0, step, problem.state)
-            self.linear.condensation.start(right)
-        self.prediction.correct(problem.state, step, 1.0, report)
+            self.linear.equations.reduce(right)
+        self.prediction.correct(problem.state, step, 1.0, report, mode)
         problem.state.axpy(1.0, step)
         problem.take_prescribed_values()

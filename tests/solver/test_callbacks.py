@@ -20,7 +20,7 @@ from tests.scenes import pressed
 # Method that fails, at which of its calls, counted from 1; whether it is one of PETSc's Newton method, or of its KSP.
 CALLS: dict[str, tuple[type, str, int, bool]] = {
     "residual": (LineSearch, "residual", 2, True),
-    "tangent": (Interfaces, "set_tolerance_and_tangent", 2, True),
+    "tangent": (Interfaces, "set_iteration", 2, True),
     "convergence": (StepWatch, "count", 2, True),
     "step": (LineSearch, "search", 1, True),
     "condensed solve": (Condensation, "solve", 1, False),

@@ -91,8 +91,9 @@ def test_a_solve_that_fails_on_the_way_leaves_nothing_behind(comm: MPI.Comm) -> 
 def final_energies(scene: Scene, comm: MPI.Comm, fails_at: int) -> tuple[dict[str, float], int, int]:
     """Energies at the end of a run, number of cuts and of evaluations of the law, of which this one has failed."""
     whole: list[bool] = []
-    with stepper_of(scene, comm, lambda problem: whole.append(problem.condensed is None)) as stepper:
-        problem = stepper.problem
+    with stepper_of(scene, comm, lambda _: whole.append(not equations.is_reduced)) as stepper:
+        problem, equations = stepper.problem, stepper.newton.newton.linear.equations
+        assert equations.can_be_reduced
         left = [fails_at]  # of all pairs together
         for p in problem.contact.surface_pairs:
             p.law = FailsOnce.of(p.law, left)
