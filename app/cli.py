@@ -97,6 +97,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
     of_scene = {
         "run": "run a scene",
         "plan": "what would be modelled and solved, and why; nothing is solved",
+        "columns": "the columns of the history of a scene, with units and meanings; nothing is solved",
         "mesh": "write the mesh of a scene",
     }
     for name, purpose in of_scene.items():
@@ -195,6 +196,14 @@ def _plan(options: argparse.Namespace, comm: MPI.Comm) -> int:
         return _result(comm, simulation.plan(scene, comm))
 
 
+def _columns(options: argparse.Namespace, comm: MPI.Comm) -> int:
+    scene = _scene(options, comm)
+    with _compiled_forms(comm):
+        from piezomat.results.column_list import columns_of
+
+        return _result(comm, columns_of(scene, comm))
+
+
 def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
     out = on_root(comm, lambda: _mesh_name(options.out, scene))
@@ -225,7 +234,15 @@ def _schema(options: argparse.Namespace, comm: MPI.Comm) -> int:
     return _result(comm, json.dumps(schema(), indent=2))
 
 
-_COMMANDS = {"run": _run, "plan": _plan, "mesh": _mesh, "view": _view, "resume": _resume, "schema": _schema}
+_COMMANDS = {
+    "run": _run,
+    "plan": _plan,
+    "columns": _columns,
+    "mesh": _mesh,
+    "view": _view,
+    "resume": _resume,
+    "schema": _schema,
+}
 
 
 def _scene(options: argparse.Namespace, comm: MPI.Comm) -> Scene:

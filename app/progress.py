@@ -60,7 +60,9 @@ class Progress:
         """Report a converged step from its history row."""
         if self._rank != 0:
             return
-        factors = "  ".join(f"{k.removeprefix('factor:')} {v:+.4f}" for k, v in row.items() if k.startswith("factor:"))
+        factors = "  ".join(
+            f"{k.removeprefix('factor:')} {round(v, 4) + 0.0:+.4f}" for k, v in row.items() if k.startswith("factor:")
+        )
         cut = f", cut {row['cutbacks']} times" if row["cutbacks"] else ""
         effort = f"{row['newton']} iterations, {row['linear_solves']} linear solves{cut}"
         line = f"step {row['step']:3d}/{self._total}  {factors}  {effort}  {row['seconds']:.2f} s"

@@ -16,6 +16,7 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
+from piezomat.results.box import box_of, box_state
 from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_of_plane
 from piezomat.results.electrodes import electrode_states
 from piezomat.results.energy_balance import EnergyBalance
@@ -27,6 +28,8 @@ from piezomat.solver.load_steps import Step, StepReport
 
 AXES = ("x", "y", "z")
 PLACE, AXIS = "{place}", "{axis}"
+# In 2D what is summed over the depth is per um of it.
+PER_DEPTH = {"uN": "uN/um", "pC": "pC/um", "pJ": "pJ/um", "um2": "um", "pC/V": "pC/(V um)"}
 
 
 def augments(model: Model) -> bool:
@@ -61,6 +64,11 @@ class Quantity:
         value = self.value(record)
         entries = value if AXIS in self.name else [value]
         return [entry if isinstance(entry, int) else float(entry) for entry in entries]
+
+
+def unit_in(quantity: Quantity, dim: int) -> str:
+    """The unit of a quantity in `dim` dimensions."""
+    return PER_DEPTH.get(quantity.unit, quantity.unit) if dim == 2 else quantity.unit
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,7 @@ BOUNDARY = Group(
             "force that the surroundings exert on the model there: negative `force_y@top` pushes down",
             attrgetter("force"),
         ),
+        Quantity("displacement_{axis}@{place}", "um", "mean displacement of the boundary", attrgetter("displacement")),
         Quantity("charge@{place}", "pC", "free charge on the boundary", attrgetter("charge"), _electric),
         Quantity(
             "mean_potential@{place}",
@@ -213,6 +222,27 @@ PLANE = Group(
             "does",
             attrgetter("potential"),
             _electric,
+        ),
+    ],
+)
+# Of a recipe's fibers between a floor and a lid.
+BOX = Group(
+    "",
+    lambda problem: [""] if box_of(problem.model, problem.contact) is not None else [],
+    lambda at: [box_state(at.problem)] if box_of(at.problem.model, at.problem.contact) is not None else [],
+    [
+        Quantity(
+            "strain",
+            "",
+            "of a recipe's fibers between two planes: change of the planes' distance over that at the start, negative "
+            "where they approach",
+            attrgetter("strain"),
+        ),
+        Quantity(
+            "stress",
+            "MPa",
+            "of the same: force of the upper plane over the area of the fibers' box, negative where it presses",
+            attrgetter("stress"),
         ),
     ],
 )
@@ -296,7 +326,7 @@ WHOLE = Group(
         ),
     ],
 )
-GROUPS = (STEP, FACTOR, BOUNDARY, RIGID, PLANE, ELECTRODE, PAIR, ENERGY, CAPACITANCE, WHOLE)
+GROUPS = (STEP, FACTOR, BOUNDARY, RIGID, PLANE, BOX, ELECTRODE, PAIR, ENERGY, CAPACITANCE, WHOLE)
 
 
 def columns(problem: Problem) -> list[str]:

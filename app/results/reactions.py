@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
 from piezomat.discretization.constraints import Condition
@@ -15,9 +14,11 @@ from piezomat.meshes import parallel
 
 @dataclass(frozen=True)
 class Reaction:
-    """At a facet group: force (d,) that the surroundings exert, uN; free charge, pC; mean potential, V (or nan)."""
+    """At a facet group: force (d,) that the surroundings exert, uN; mean displacement (d,), um; free charge, pC; mean
+    potential, V (or nan)."""
 
     force: Array
+    displacement: Array
     charge: float
     mean_potential: float
 
@@ -34,13 +35,18 @@ def reaction(problem: Problem, conditions: list[Condition], factors: dict[str, f
     total = parallel.total(model.comm, total)
     charge = -total[model.dim] / model.potential_scale if model.electric else 0.0
     applied = sum(model.loads.applied(condition, factors) for condition in conditions)
-    potential = _mean_potential(problem, conditions[0]) if model.electric else float("nan")
-    return Reaction(total[: model.dim] + applied[: model.dim], float(charge + applied[model.dim]), potential)
+    means = _means(problem, conditions[0])
+    potential = model.potential_scale * means[model.dim] if model.electric else float("nan")
+    return Reaction(
+        total[: model.dim] + applied[: model.dim],
+        means[: model.dim],
+        float(charge + applied[model.dim]),
+        float(potential),
+    )
 
 
-def _mean_potential(problem: Problem, condition: Condition) -> float:
-    """Mean of the potential over a boundary, V."""
+def _means(problem: Problem, condition: Condition) -> Array:
+    """Means over a boundary of the displacement's components and the potential unknown, (block,). Collective."""
     model = problem.model
-    psi = problem.solution().x.array.reshape(-1, model.unknowns.block)[condition.nodes, model.dim]
-    total = model.comm.allreduce(float(condition.weights @ psi), op=MPI.SUM)
-    return model.potential_scale * total / condition.area
+    values = problem.solution().x.array.reshape(-1, model.unknowns.block)[condition.nodes]
+    return parallel.total(model.comm, condition.weights @ values) / condition.area

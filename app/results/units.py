@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import re
 
-from piezomat.results.quantities import AXIS, GROUPS, PLACE, Quantity
-
-# In 2D what is summed over the depth is per um of it.
-PER_DEPTH = {"uN": "uN/um", "pC": "pC/um", "pJ": "pJ/um", "um2": "um", "pC/V": "pC/(V um)"}
+from piezomat.results.quantities import AXIS, GROUPS, PLACE, Quantity, unit_in
 
 
 def quantity_of(column: str) -> Quantity | None:
@@ -18,8 +15,7 @@ def quantity_of(column: str) -> Quantity | None:
 def unit_of(column: str, dim: int) -> str:
     """The unit of a column of a history in `dim` dimensions; empty for numbers without a unit and unknown names."""
     quantity = quantity_of(column)
-    unit = quantity.unit if quantity is not None else ""
-    return PER_DEPTH.get(unit, unit) if dim == 2 else unit
+    return unit_in(quantity, dim) if quantity is not None else ""
 
 
 def symbols(unit: str) -> str:

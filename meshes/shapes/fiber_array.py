@@ -147,6 +147,7 @@ class FiberArray(FiberShape):
             int((gap <= CROSSING * self.discs[:, 2].min()).sum()),
             1.0 - area / (seen * float(high[1] - low[1])),
             area / seen,
+            seen if self.length is None else seen * self.length,
             None if self.length is None else 1.0,
             float(gap.min()) if len(gap) else None,
             (*ends[0], *low.tolist()),

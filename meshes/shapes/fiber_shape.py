@@ -106,7 +106,8 @@ def _layers(sizes: MeshSizes, fiber: Fiber, places: Array) -> Array:
 class Outcome:
     """Statistics of a shape of many fibers, printed as one line. Lengths in um.
 
-    areal_density: volume over area seen from above, in 2D area over width. orientation: mean of cos(2 angle to x) over
+    areal_density: volume over area seen from above, in 2D area over width. area: that seen from above, um2 (2D: the
+    width). orientation: mean of cos(2 angle to x) over
     the length of the fibers: 1 all along x, 0 isotropic, -1 all along y; None in 2D. smallest_gap: None if no two
     fibers are near each other. low, high: corners of the box around the fibers.
     """
@@ -115,6 +116,7 @@ class Outcome:
     crossings: int
     porosity: float
     areal_density: float
+    area: float
     orientation: float | None
     smallest_gap: float | None
     low: tuple[float, ...]
@@ -137,6 +139,7 @@ class Outcome:
             int((found.gap <= CROSSING * thinnest).sum()),
             1.0 - volume / (seen * float(high[2] - low[2])),
             volume / seen,
+            seen,
             float(length @ turned / length.sum()),
             float(found.gap.min()) if len(found.gap) else None,
             tuple(low.tolist()),
