@@ -114,5 +114,6 @@ class MaterialKeys(Keys):
 MaterialKeys = create_model(
     "MaterialKeys",
     __base__=MaterialKeys,
+    __doc__=MaterialKeys.__doc__,
     **{"yield": (Positive | None, Field(None, description="yield stress, MPa: a run warns where stresses are beyond"))},
 )

@@ -51,7 +51,14 @@ ENERGIES = ["elastic", "electric", "contact", "adhesion", "stabilization", "exte
 def test_columns_of_every_kind() -> None:
     wanted = ["step", "stage", "factor:press", "force_x@bottom", "force_y@bottom"]
     wanted += ["displacement_x@bottom", "displacement_y@bottom", "charge@bottom"]
-    wanted += ["mean_potential@bottom", "force_x@lid", "force_y@lid", "contact_area@lid", "max_pressure@lid"]
+    wanted += [
+        "mean_potential@bottom",
+        "travel@lid",
+        "force_x@lid",
+        "force_y@lid",
+        "contact_area@lid",
+        "max_pressure@lid",
+    ]
     wanted += ["max_penetration@lid", "charge@lid", "mean_potential@lid"]
     pair = ["contact_force_x", "contact_force_y", "contact_area", "max_pressure", "max_penetration"]
     pair += ["max_potential_jump", "bonded_area"]
