@@ -163,7 +163,15 @@ def _electrodes(model: Model) -> list[tuple[str, str]]:
             state = f"at {row.potential:g} V" if row.potential is not None else f"with {row.charge:g} pC"
             state += f" times {row.follows}" if row.follows is not None else ""
         notes.append(f"{row.name} ({state}, on {named(row.on)}: {nodes} nodes at one potential)")
-    return [("electrodes", ", ".join(notes))] if notes else []
+    lines = [("electrodes", ", ".join(notes))] if notes else []
+    notes = []
+    for e in model.constraints.conductors:
+        row = e.electrode
+        state = "open, no net charge"
+        if row.potential is not None:
+            state = f"at {row.potential:g} V{f' times {row.follows}' if row.follows is not None else ''}"
+        notes.append(f"{named(row.on)} ({state})")
+    return lines + ([("conductors", ", ".join(notes))] if notes else [])
 
 
 def _adhesion(contact: Contact | None) -> str:

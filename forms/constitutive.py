@@ -23,8 +23,10 @@ class ConstitutiveLaw(Protocol):
 
     is_linear: whether the density is quadratic in s; with small strains the tangent is then constant
     has_plane_stress: whether the law can be that of plane stress; else a 2D model is one of plane strain
+    conductor: whether a body of it is a metal, of one potential
     """
 
+    conductor: bool = False
     is_linear: bool = False
     has_plane_stress: bool = False
 

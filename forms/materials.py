@@ -11,7 +11,7 @@ Units: MPa, pC/um2 (= C/m2), pC/(V um) (= 1e-6 F/m).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -40,13 +40,15 @@ class Material(ConstitutiveLaw):
     """A linear piezoelectric (or dielectric, or elastic) material; built-in ones are poled along axis 3.
 
     stiffness (6, 6) at constant electric field, MPa; piezo (3, 6), pC/um2; permittivity (3, 3) at constant
-    strain, pC/(V um), or None: the material carries no potential. `source`: reference of the numbers.
+    strain, pC/(V um), or None: the material carries no potential. `source`: reference of the numbers. conductor:
+    whether it is a metal, in which there is no field: nothing but the scale of penalties depends on its permittivity.
     """
 
     stiffness: Array
     piezo: Array
     permittivity: Array | None
     source: str = ""
+    conductor: bool = False
     is_linear: ClassVar[bool] = True
     has_plane_stress: ClassVar[bool] = True
 
@@ -147,7 +149,12 @@ class Material(ConstitutiveLaw):
             rotation @ self.piezo @ bond.T,
             None if permittivity is None else _symmetric(rotation @ permittivity @ rotation.T),
             self.source,
+            self.conductor,
         )
+
+    def beside(self, permittivity: float) -> Material:
+        """The material in a model whose largest mean permittivity is this, pC/(V um): that of a conductor then."""
+        return replace(self, permittivity=permittivity * np.eye(3)) if self.conductor else self
 
     def constitutive_matrix(self, dim: int, plane: Plane = "strain") -> Array:
         """Symmetric enthalpy matrix M, H = 1/2 s.M.s in pJ/um3: (9, 9) in 3D, (5, 5) in 2D.

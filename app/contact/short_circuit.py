@@ -110,6 +110,9 @@ def _electrodes(model: Model) -> PETSc.Vec:
     for e in model.constraints.electrodes:
         if e.electrode.potential is not None:
             values[e.nodes, 0] = len(model.scene.boundaries) + len(model.scene.planes) + e.reference + 1
+    for e in model.constraints.conductors:
+        if e.row is not None:
+            values[e.nodes, 0] = e.row + 1
     model.unknowns.set_by_node(vector, values)
     return vector
 

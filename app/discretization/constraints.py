@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from piezomat.discretization.electrodes import ElectrodeNodes, electrode_nodes
+from piezomat.discretization.conductors import Conductor
+from piezomat.discretization.electrodes import ElectrodeNodes, electrode_nodes, other_conductors
 from piezomat.discretization.motions import PushedPlane, RigidBoundary, pushed_planes, rigid_boundaries
 from piezomat.discretization.ties import References, Ties
 from piezomat.discretization.unknowns import Unknowns
@@ -50,8 +53,10 @@ class Constraints:
     conditions: the rows [[boundaries]] of the scene, in order
     groups {facet group: conditions on it}
     electrodes: the rows [[electrodes]] of the scene, in order
+    conductors: the conductors that belong to none of these
     rigid, pushed: the rigid boundaries and the planes by force of the scene; the reference nodes are those of
-        electrodes, rigid boundaries and planes by force, in this order
+        electrodes, conductors, rigid boundaries and planes by force, in this order
+    references: all unknowns of reference nodes: potentials of electrodes and conductors, and motions
     potentials (electrodes,): of the electrodes' reference nodes
     travels (pushed,): of the planes by force
     motions (k,): components of the rigid boundaries' translations that are free, and then those travels
@@ -71,6 +76,7 @@ class Constraints:
         unknowns: Unknowns,
         bodies: BodyMesh,
         dielectric_node: Booleans,
+        metal: Sequence[Conductor],
         potential_scale: float | None,
     ) -> None:
         """Fix and tie what the scene says, and fix at zero the potentials (local nodes,) that no permittivity touches.
@@ -83,6 +89,9 @@ class Constraints:
         self.is_fixed: Booleans = np.zeros((unknowns.owned, unknowns.block), bool)
         if unknowns.electric:
             self.is_fixed[:, unknowns.dim] = ~dielectric_node[: unknowns.owned]
+        self._metal = metal
+        # Of the boundaries that prescribe the potential of a conductor, which is then that of all its nodes.
+        self._rows_of_metal: list[set[int]] = [set() for _ in metal]
         self.conditions: list[Condition] = []
         for boundary in scene.boundaries:
             self.conditions.append(self._condition(boundary, bodies))
@@ -92,14 +101,19 @@ class Constraints:
         given = np.full(unknowns.owned, -1)
         for row, condition in enumerate(self.conditions):
             given[condition.fixed.get(unknowns.dim, np.zeros(0, np.int64)) // unknowns.block] = row
-        self.electrodes: list[ElectrodeNodes] = electrode_nodes(scene, unknowns, bodies, dielectric_node, given)
-        self.rigid: list[RigidBoundary] = rigid_boundaries(scene, unknowns, bodies, self.is_fixed, len(self.electrodes))
-        self.pushed: list[PushedPlane] = pushed_planes(scene, len(self.electrodes) + len(self.rigid))
-        potentials = [unknowns.reference_number(e.reference, unknowns.dim) for e in self.electrodes]
+        for conductor, rows in zip(metal, self._rows_of_metal, strict=True):
+            given[conductor.nodes] = max(rows, default=-1)
+        self.electrodes: list[ElectrodeNodes] = electrode_nodes(scene, unknowns, bodies, dielectric_node, metal, given)
+        self.conductors = other_conductors(scene, unknowns, metal, self._rows_of_metal, self.electrodes)
+        number = len(self.equipotentials)
+        self.rigid: list[RigidBoundary] = rigid_boundaries(scene, unknowns, bodies, self.is_fixed, number)
+        self.pushed: list[PushedPlane] = pushed_planes(scene, number + len(self.rigid))
+        potentials = [unknowns.reference_number(e.reference, unknowns.dim) for e in self.equipotentials]
         translations = [unknowns.reference_number(r.reference, i) for r in self.rigid for i in r.tied]
         travels = [unknowns.reference_number(p.reference, 0) for p in self.pushed]
-        self.potentials = References(unknowns, potentials)
+        self.potentials = References(unknowns, potentials[: len(self.electrodes)])
         self.motions = References(unknowns, translations + travels)
+        self.references = References(unknowns, potentials + translations + travels)
         self.travels = References(unknowns, travels)
         axes = [i for r in self.rigid for i in r.tied]
         self.motion_directions: Array = np.concatenate(
@@ -109,13 +123,13 @@ class Constraints:
             *((r.boundary, r.boundary.force[i]) for r in self.rigid for i in r.tied),
             *((p.plane, p.force) for p in self.pushed),
         ]
-        tied = [e.nodes * unknowns.block + unknowns.dim for e in self.electrodes]
+        tied = [e.nodes * unknowns.block + unknowns.dim for e in self.equipotentials]
         tied += [numbers for r in self.rigid for numbers in r.tied.values()]
         self.ties = Ties(unknowns, tied, References(unknowns, potentials + translations))
         self.tied_on = {name: self._tied_on(name, bodies.facets[name]) for name in self.groups}
         # Reference nodes have no other unknowns than these; of electrodes some have a given potential.
         at_references = np.ones(unknowns.references_here * unknowns.block, bool)
-        open_ = [p for p, e in zip(potentials, self.electrodes, strict=True) if e.electrode.potential is None]
+        open_ = [p for p, e in zip(potentials, self.equipotentials, strict=True) if e.electrode.potential is None]
         for numbers in (self.motions, References(unknowns, open_)):
             at_references[numbers.local - unknowns.owned * unknowns.block] = False
         self.fixed = np.flatnonzero(np.concatenate([self.is_fixed.ravel(), at_references]))
@@ -133,11 +147,16 @@ class Constraints:
                 potential = component == unknowns.dim
                 value = b.potential / self._potential_scale if potential else b.displacement[component]
                 values[fixed] = factor * value
-        given = np.array([load_factor(e.electrode, factors) * (e.electrode.potential or 0.0) for e in self.electrodes])
-        if len(given):
-            local = self.potentials.local
-            values[local] = given[: len(local)] / self._potential_scale
+        for e in self.equipotentials if unknowns.references_here else ():
+            if e.electrode.potential is not None:
+                at = (unknowns.owned + e.reference) * unknowns.block + unknowns.dim
+                values[at] = load_factor(e.electrode, factors) * e.electrode.potential / self._potential_scale
         return values[self.fixed]
+
+    @property
+    def equipotentials(self) -> list[ElectrodeNodes]:
+        """Electrodes and conductors: what has one potential each, by the numbers of their reference nodes."""
+        return [*self.electrodes, *self.conductors]
 
     def fixed_displacements(self) -> Booleans:
         """Which of the fixed unknowns (k,) are displacements."""
@@ -157,12 +176,17 @@ class Constraints:
         matrix.zeroRowsColumns(self.eliminated_global, diag=1.0)
 
     def _tied_on(self, name: str, facets: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:
-        """Of a group all potentials that are tied, and the displacements that are because the group itself is rigid."""
+        """Of a group all potentials that are tied, and the displacements that are because the group itself is rigid.
+
+        The charge that a boundary with a potential gives to a conductor is on the whole of it.
+        """
         unknowns = self._unknowns
         found = {i: numbers for r in self.rigid if r.boundary.on == name for i, numbers in r.tied.items()}
-        if self.electrodes:
-            potentials = unknowns.nodes_of(facets) * unknowns.block + unknowns.dim
-            found[unknowns.dim] = np.intersect1d(potentials, self.ties.tied)
+        if self.equipotentials:
+            rows = {row for row, condition in enumerate(self.conditions) if condition.boundary.on == name}
+            whole = [c.nodes for c, of in zip(self._metal, self._rows_of_metal, strict=True) if of & rows]
+            nodes = np.unique(np.concatenate([unknowns.nodes_of(facets), *whole]))
+            found[unknowns.dim] = np.intersect1d(nodes * unknowns.block + unknowns.dim, self.ties.tied)
         return found
 
     def _condition(self, boundary: Boundary, bodies: BodyMesh) -> Condition:
@@ -176,9 +200,20 @@ class Constraints:
         for component in _prescribed(boundary, unknowns.dim):
             self._check_contradiction(boundary, component, nodes)
             free = nodes[~self.is_fixed[nodes, component]]
+            if component == unknowns.dim:
+                free = self._outside_metal(index, free)
             self.is_fixed[free, component] = True
             fixed[component] = free * unknowns.block + component
         return Condition(boundary, facets, fixed, *_measure(unknowns, bodies, facets))
+
+    def _outside_metal(self, row: int, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of a boundary's nodes that are on no conductor; notes that the row prescribes the others' potential."""
+        for conductor, rows in zip(self._metal, self._rows_of_metal, strict=True):
+            on_it = np.isin(nodes, conductor.nodes)
+            if self._unknowns.comm.allreduce(bool(on_it.any()), op=MPI.LOR):
+                rows.add(row)
+            nodes = nodes[~on_it]
+        return nodes
 
     def _check_contradiction(self, boundary: Boundary, component: int, nodes: NDArray[np.int64]) -> None:
         """Raise SceneError if an earlier row prescribes another value of a component at one of its nodes. Collective.
@@ -213,8 +248,10 @@ def load_factor(row: Boundary | Electrode | Plane, factors: dict[str, float]) ->
 
 
 def reference_nodes(scene: Scene) -> int:
-    """Number of the reference nodes of a scene, see `Constraints`."""
-    return len(scene.electrodes) + sum(row.rigid for row in scene.boundaries) + sum(p.is_pushed for p in scene.planes)
+    """Number of reference nodes that a scene needs at most, see `Constraints`."""
+    metal = sum(scene.material(body).conductor for body in scene.body_names)
+    moving = sum(row.rigid for row in scene.boundaries) + sum(plane.is_pushed for plane in scene.planes)
+    return len(scene.electrodes) + metal + moving
 
 
 def _measure(

@@ -44,7 +44,7 @@ def _check_electrodes(scene: Scene, bodies: BodyMesh, materials: list[Constituti
         some = any(electric[links.links(facet)].any() for facet in facets)
         if mesh.comm.allreduce(len(facets)) and not mesh.comm.allreduce(some, op=MPI.LOR):
             found = f"{shown(getattr(row, given[0]))} on {shown(row.on)}, where no body has a permittivity"
-            allowed = "a facet group of a body whose material has one; a metal is a body with a very large one"
+            allowed = "a facet group of a body whose material has one, or is a conductor"
             raise SceneError(f"boundaries[{index}].{given[0]}", found, allowed)
 
 

@@ -9,6 +9,7 @@ import dolfinx.fem.petsc
 import numpy as np
 from petsc4py import PETSc
 
+from piezomat.discretization.conductors import conductors
 from piezomat.discretization.constraints import Constraints, reference_nodes
 from piezomat.discretization.doubts import doubts
 from piezomat.discretization.loads import Loads
@@ -17,6 +18,7 @@ from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.enthalpy import regions
+from piezomat.forms.materials import VACUUM_PERMITTIVITY, Material
 from piezomat.meshes.body_mesh import BodyMesh
 from piezomat.scene.scene import Scene
 
@@ -54,13 +56,15 @@ class Model:
         self.kinematics = scene.model.kinematics
         self.plane = scene.model.plane
         self.materials: list[ConstitutiveLaw] = [scene.material(name) for name in bodies.bodies]
+        dielectrics = [m.mean_permittivity for m in self.materials if not m.conductor]
+        largest = max(dielectrics, default=0.0) or VACUUM_PERMITTIVITY
+        self.materials = [m.beside(largest) if isinstance(m, Material) else m for m in self.materials]
         self.warnings = doubts(scene, bodies, self.materials)
         self.electric = any(m.electric for m in self.materials)
         self.stiffness = max(m.mean_stiffness for m in self.materials)
         self.potential_scale: float | None = None
         if self.electric:
-            permittivity = max(m.mean_permittivity for m in self.materials)
-            self.potential_scale = float(np.sqrt(self.stiffness / permittivity))
+            self.potential_scale = float(np.sqrt(self.stiffness / largest))
         references = reference_nodes(scene)
         self.unknowns = Unknowns(self.mesh, bodies.order, electric=self.electric, references=references)
         self.trial_state = dolfinx.fem.Function(self.unknowns.space)
@@ -70,7 +74,8 @@ class Model:
         has_permittivity = np.array([m.electric for m in self.materials])
         dielectric = self.unknowns.touched(has_permittivity[bodies.cell_body])
         self.parts = parts_of(bodies, self.unknowns)
-        self.constraints = Constraints(scene, self.unknowns, bodies, dielectric, self.potential_scale)
+        metal = conductors(self.unknowns, bodies, self.materials)
+        self.constraints = Constraints(scene, self.unknowns, bodies, dielectric, metal, self.potential_scale)
         self.prescription = Prescription(self.comm, self.constraints, scene.planes, scene.load)
         self.loads = Loads(self.constraints, scene.electrodes, bodies)
         self.unconstrained = unconstrained(self.parts, self.unknowns, self.constraints, dielectric)

@@ -90,7 +90,7 @@ def _joined_by_electrodes(
     parts: Parts, unknowns: Unknowns, constraints: Constraints, constrained: Booleans
 ) -> Booleans:
     """The parts whose mean potential is constrained, given those (parts,) that boundaries constrain. Collective."""
-    electrodes = constraints.electrodes
+    electrodes = constraints.equipotentials
     if not electrodes:
         return constrained
     on = np.zeros((unknowns.owned, len(electrodes)))

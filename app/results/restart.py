@@ -72,7 +72,6 @@ def save(
     capacitance, scene, mesh: see `Scalars`. Raises what `checkpoint.save` does.
     """
     model, constraints = problem.model, problem.model.constraints
-    references = constraints.potentials, constraints.motions
     ids = _node_ids(model)
     nodal = {
         "state": (ids, model.unknowns.by_node(problem.state)),
@@ -89,7 +88,7 @@ def save(
         "mesh": mesh,
         "version": __version__,
         "capacitance": capacitance,
-        "references": np.concatenate([r.values(problem.state) for r in references]).tolist(),
+        "references": constraints.references.values(problem.state).tolist(),
     }
     checkpoint.save(problem.comm, folder, step, nodal, histories.points, scalars)
 
@@ -128,10 +127,9 @@ def restore(stored: checkpoint.Checkpoint, problem: Problem, stepper: Stepper, b
     ids, width = _node_ids(model), model.unknowns.block
     state, forces = (stored.nodal(name, ids, width) for name in ("state", "forces"))
     model.unknowns.set_by_node(problem.state, state)
-    potentials, motions = model.constraints.potentials, model.constraints.motions
-    if len(scalars.references) == len(potentials) + len(motions):
-        potentials.set_values(problem.state, scalars.references[: len(potentials)])
-        motions.set_values(problem.state, scalars.references[len(potentials) :])
+    references = model.constraints.references
+    if len(scalars.references) == len(references):
+        references.set_values(problem.state, scalars.references)
     last = scalars.history[-1] if scalars.history else {}
     factors = {name: last.get(f"factor:{name}", 0.0) for name in model.scene.load.factors}
     try:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, create_model, model_validator
 
 from piezomat.forms.material_library import BUILT_IN
-from piezomat.forms.materials import Material, permittivity_matrix, piezo_matrix
+from piezomat.forms.materials import VACUUM_PERMITTIVITY, Material, permittivity_matrix, piezo_matrix
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
 from piezomat.scene.keys import Direction, Keys, Positive, Vector3, Vector6
 
@@ -48,6 +48,7 @@ class MaterialKeys(Keys):
         description="direction of material axis 3; default where piezoelectric: up (y in 2D, z in 3D)",
     )
     axis1: Direction | None = Field(None, description="direction of material axis 1, made perpendicular to poling")
+    conductor: bool = Field(False, description="a metal: each body of it has one potential, and no permittivity")
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -78,12 +79,20 @@ class MaterialKeys(Keys):
             by_name = isinstance(self.piezo, PiezoKeys)
             piezo = piezo_matrix(self.piezo.model_dump()) if by_name else np.array(self.piezo, float)
         permittivity = base.permittivity if base is not None else None
+        if self.conductor:
+            for key in ("permittivity", "piezo"):
+                if getattr(self, key) is not None:
+                    raise SceneError(key, shown(getattr(self, key)), "nothing with conductor = true: a metal has none")
+            if permittivity is not None:
+                allowed = 'a material without permittivity, such as "elastic", with conductor = true'
+                raise SceneError("like", shown(self.like), allowed)
+            permittivity = VACUUM_PERMITTIVITY * np.eye(3)  # of which nothing is asked
         if self.permittivity is not None:
             permittivity = permittivity_matrix(self.permittivity)
         if permittivity is None and self.piezo is not None:
             raise SceneError("permittivity", "none, though piezo is given", "a permittivity wherever there is piezo")
         source = f"the scene, from {self.like}" if base is not None else "the scene"
-        material = Material(self._stiffness(base), piezo, permittivity, source)
+        material = Material(self._stiffness(base), piezo, permittivity, source, self.conductor)
         try:
             material.check()
         except ValueError as error:
