@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 from piezomat import __version__, environment
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import NewTerm
 from piezomat.contact.cohesive_zone import coarse_cohesive_zone
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.short_circuit import short_circuit
@@ -90,11 +91,13 @@ def run(
     partition: Partition | None = None,
     quiet: bool = False,
     watch: Callable[[Problem, Mapping[str, Any]], object] | None = None,
+    terms: Sequence[NewTerm] = (),
 ) -> Run:
     """History and last state of a scene; with `out`, its results are written there. Collective.
 
     resume: continue from the checkpoint in `out`, on any number of ranks. partition: which rank gets which cell (for
-    tests). quiet: nothing is printed. watch: called with each step that has converged, and its row.
+    tests). quiet: nothing is printed. watch: called with each step that has converged, and its row. terms: what makes
+    terms of the problem beside its own, from its model.
 
     SceneError: the scene is wrong, `out` is not free for the run or another run is at work there, or `resume` finds
     another scene; raised before any work. CheckpointError: there is no sound checkpoint. NotConverged, Interrupted,
@@ -112,7 +115,7 @@ def run(
         with timer("setup"):
             model = Model(scene, bodies)
             contact = interfaces_of(model)
-        problem = Problem(model, contact, timer)
+        problem = Problem(model, contact, timer, terms)
         newton = Newton(problem, scene.solver, StepWatch(stop.requested))
         augment_tolerance = scene.contact.augment if scene.contact is not None else None
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks, augment_tolerance)

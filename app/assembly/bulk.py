@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import Any
+
 import dolfinx
 import dolfinx.fem.petsc
 import numpy as np
 from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
+from piezomat.discretization.term import AssembledTerm
 from piezomat.discretization.unknowns import Unknowns
 from piezomat.forms.enthalpy import internal_form, stored_energies, tangent_form
 from piezomat.forms.evaluation import integral
 
 
-class Bulk:
+class Bulk(AssembledTerm):
     """The derivatives of the bodies' enthalpy at the state of a model. Every method is collective.
 
-    is_constant: whether the tangent is the same at any state (small kinematics and linear laws); the residual is then
-        tangent times state, and has no form
+    is_constant: in small kinematics with linear laws
     """
 
     def __init__(self, model: Model) -> None:
@@ -25,7 +28,7 @@ class Bulk:
         self.is_constant = model.kinematics == "small" and all(region.law.is_linear for region in model.regions)
         arguments = model.trial_state, model.regions, model.kinematics
         self._tangent_form = dolfinx.fem.form(tangent_form(*arguments))
-        self._residual_form = None if self.is_constant else dolfinx.fem.form(internal_form(*arguments))
+        self._work = model.new_vector()
         self._energy_forms = [None if e is None else dolfinx.fem.form(e) for e in stored_energies(*arguments)]
 
     def new_matrix(self) -> PETSc.Mat:
@@ -33,17 +36,24 @@ class Bulk:
         matrix = dolfinx.fem.petsc.create_matrix(self._tangent_form)
         if not self._model.unknowns.references:
             return matrix
-        self.add_tangent(matrix)
-        matrix.assemble()  # without values it has no places
+        self.add_tangent(matrix)  # without values it has no places
         return with_reference_nodes(matrix, self._model.unknowns)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
-        """Add the tangent at the trial state of the model to a matrix that is still to be assembled."""
+        """See `AssembledTerm.add_tangent`."""
         dolfinx.fem.petsc.assemble_matrix(matrix, self._tangent_form)
+        matrix.assemble()
 
-    def assemble_residual(self, result: PETSc.Vec) -> None:
-        """result = the residual at the trial state of the model; not for a constant tangent."""
-        self._model.assemble_vector(self._residual_form, result)
+    def add_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """See `AssembledTerm.add_residual`."""
+        self._model.assemble_vector(self._residual_form, self._work)
+        result.axpy(1.0, self._work)
+
+    @cached_property
+    def _residual_form(self) -> Any:
+        """Compiled when it is needed: the residual of a constant tangent is it times the state."""
+        model = self._model
+        return dolfinx.fem.form(internal_form(model.trial_state, model.regions, model.kinematics))
 
     def energies(self, x: PETSc.Vec) -> dict[str, float]:
         """Stored energies at x, pJ (2D: per um of depth): elastic, electric."""

@@ -6,10 +6,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
+from piezomat.discretization.term import AssembledTerm
 from piezomat.forms.arrays import Array
 
 
-class Circuits:
+class Circuits(AssembledTerm):
     """The circuits of a model in residual and tangent: unknowns of the electrodes' reference nodes alone.
 
     matrix (electrodes, electrodes), pC/V (2D: per um of depth): charges that flow into the circuits over voltages
@@ -31,11 +32,13 @@ class Circuits:
         self._holds_references = model.unknowns.references_here > 0
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
-        """Add the tangent to a matrix that is still to be assembled. Collective."""
-        if not self.exist or not self._holds_references:
+        """See `AssembledTerm.add_tangent`. Collective."""
+        if not self.exist:
             return
-        numbers = self._potentials.numbers.astype(PETSc.IntType)
-        matrix.setValues(numbers, numbers, self._tangent, addv=PETSc.InsertMode.ADD_VALUES)
+        if self._holds_references:
+            numbers = self._potentials.numbers.astype(PETSc.IntType)
+            matrix.setValues(numbers, numbers, self._tangent, addv=PETSc.InsertMode.ADD_VALUES)
+        matrix.assemble()
 
     def add_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         """Add the charges that the circuits hold at x. Collective."""

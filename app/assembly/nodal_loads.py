@@ -7,15 +7,16 @@ import dolfinx.fem.petsc
 from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
+from piezomat.discretization.term import AssembledTerm
 from piezomat.forms.loads import load_tangent
 
 
-class NodalLoads:
+class NodalLoads(AssembledTerm):
     """The loads of a model at the load factors that its constants have. Every method is collective.
 
-    vector: what the loads add to the residual, minus the nodal forces and charges; of the last `assemble`
+    vector: what the loads add to the residual, minus the nodal forces and charges; of the last evaluation
     exist: whether the scene has loads, beside prescribed displacements and potentials
-    follow_state: whether they depend on the state (pressure in finite kinematics), which makes the tangent unsymmetric
+    is_constant, is_symmetric: unless they depend on the state (pressure in finite kinematics)
     """
 
     def __init__(self, model: Model) -> None:
@@ -23,15 +24,29 @@ class NodalLoads:
         self.vector = model.new_vector()
         form = model.loads.form(model.trial_state, model.kinematics, model.potential_scale)
         tangent = None if form.empty() else load_tangent(form, model.trial_state)
-        self.follow_state = tangent is not None
+        self.is_constant = self.is_symmetric = tangent is None
         self._form = None if form.empty() else dolfinx.fem.form(form)
-        self._tangent_form = dolfinx.fem.form(tangent) if self.follow_state else None
+        self._tangent_form = dolfinx.fem.form(tangent) if tangent is not None else None
         self._charged = any(row.charge is not None for row in model.scene.electrodes)
         self._pushed = len(model.constraints.motions) > 0
         self.exist = self._form is not None or self._charged or self._pushed
 
-    def assemble(self) -> None:
-        """Evaluate `vector` at the trial state of the model."""
+    def set_loads(self, factors: dict[str, float]) -> None:
+        """Go to a load level, and evaluate `vector` at the trial state of the model."""
+        self._model.loads.set_factors(factors)
+        self._evaluate()
+
+    def add_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """See `AssembledTerm.add_residual`."""
+        if not self.is_constant:
+            self._evaluate()
+        result.axpy(1.0, self.vector)
+
+    def add_constant_residual(self, result: PETSc.Vec) -> None:
+        """Add `vector`."""
+        result.axpy(1.0, self.vector)
+
+    def _evaluate(self) -> None:
         model = self._model
         if self._form is not None:
             model.assemble_vector(self._form, self.vector)
@@ -41,6 +56,7 @@ class NodalLoads:
             model.constraints.motions.set_values(self.vector, -model.loads.forces)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
-        """Add their tangent at the trial state of the model to a matrix that is still to be assembled."""
-        if self.follow_state:
+        """See `AssembledTerm.add_tangent`."""
+        if not self.is_constant:
             dolfinx.fem.petsc.assemble_matrix(matrix, self._tangent_form)
+            matrix.assemble()

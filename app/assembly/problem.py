@@ -1,25 +1,26 @@
-"""The nonlinear problem of one load level: residual and tangent of bulk, loads, contact and stabilization, summed."""
+"""The nonlinear problem of one load level: the sum of its terms.
+
+While all assembled terms are constant, their residual is one matrix times the state. Contact, whose tangent changes
+places, comes as matrices of pairs of facets, which are added to that matrix once."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from dolfinx.fem import Function
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from piezomat.assembly.bulk import Bulk
-from piezomat.assembly.circuits import Circuits
-from piezomat.assembly.nodal_loads import NodalLoads
-from piezomat.assembly.stabilization_stiffness import StabilizationStiffness
 from piezomat.assembly.tangent_matrix import TangentMatrix
+from piezomat.assembly.terms import NewTerm, Terms
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
 from piezomat.contact.pushed_planes import free_travels
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.model import Model
 from piezomat.discretization.state import ReadPoints, SavedHistory, State
+from piezomat.discretization.term import Term
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.usage import Timer, give_back_memory
@@ -36,25 +37,26 @@ class Problem:
 
     The state x solves, where it is not fixed,
 
-        R(x) = R_bulk(x) + R_loads(x) + R_contact(x) + s G (x - x_a) = 0,
+        R(x) = sum of the terms' residuals = 0.
 
-    G being the stabilization stiffness with its factor s, and x_a the last converged state x_n, or where springs have
-    been let go.
-
-    model, contact: what is solved; contact is None without interfaces
-    bulk, loads, circuits, stabilization: the other terms
+    model: what is solved
+    terms: the assembled terms
+    contact: the term of the interfaces; None without any
     state: x
     converged_state: x_n
     factors: load factors of the present load level
     prescribed_values (k,): of the fixed unknowns at the present load level, in the order of `Constraints.fixed`
     residual_with_reactions: R at the last `residual`; at fixed unknowns the reactions less the loads there
     stiffness_version: number of times that the tangent without contact has changed
+    is_constant: whether that tangent is the same at any state
+    is_symmetric: whether the tangent is symmetric
     is_linear: whether one linear solve is enough
     largest_force, uN (2D: per um of depth): forces of a strain of one, and of a penetration as large as the coordinates
         that gaps are computed from; rounding is a share of it
     """
 
-    def __init__(self, model: Model, contact: Interfaces | None, timer: Timer) -> None:
+    def __init__(self, model: Model, contact: Interfaces | None, timer: Timer, further: Sequence[NewTerm] = ()) -> None:
+        """further: what makes terms beside those of the model."""
         self.model = model
         self.contact = contact
         self.timer = timer
@@ -65,40 +67,33 @@ class Problem:
         self.factors = dict.fromkeys(model.scene.load.factors, 0.0)
         self.prescribed_values = np.zeros(len(model.constraints.fixed))
         with timer("assembly"):
-            self.bulk = Bulk(model)
-            self.loads = NodalLoads(model)
-            self.circuits = Circuits(model)
-            self.stabilization = StabilizationStiffness(model)
-            self._stiffness = self.bulk.new_matrix()  # all but contact
+            self.terms = Terms.of(model, tuple(further))
+            self._stiffness = self.terms.bulk.new_matrix()  # all but contact
             self._assemble_stiffness()
+        self._every_term: list[Term] = [*self.terms, *([contact] if contact is not None else [])]
+        self.is_constant = all(term.is_constant for term in self.terms)
+        self.is_symmetric = all(term.is_symmetric for term in self.terms)
         self._matrix: TangentMatrix | None = None
-        self._terms: ContactTerms | None = None
+        self._contact_terms: ContactTerms | None = None
         self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
         self.stiffness_version = 0
-        self.is_linear = contact is None and self.bulk.is_constant
+        self.is_linear = contact is None and self.is_constant
         length = float(model.parts.size.max())
         stiffest = contact.largest_penalty if contact is not None else 0.0
         self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
 
     @property
-    def is_symmetric(self) -> bool:
-        """Whether the tangent is symmetric: all but follower pressure is derived from one enthalpy."""
-        return not self.loads.follow_state
-
-    @property
     def has_weakly_held_bodies(self) -> bool:
         """Whether nothing but contact and weak springs holds some of the bodies."""
-        return self.model.has_unconstrained_bodies and self.stabilization.factor == 1.0
+        return self.model.has_unconstrained_bodies and self.terms.stabilization.factor == 1.0
 
     # --- load steps
 
     def set_loads(self, factors: dict[str, float]) -> None:
         """Go to a load level: loads, planes, and prescribed values, which Newton's start value takes up."""
-        self.model.loads.set_factors(factors)
-        if self.contact is not None:
-            self.contact.move_planes(factors)
+        for term in self._every_term:
+            term.set_loads(factors)
         self.prescribed_values = self.model.constraints.values(factors)
-        self.loads.assemble()
         self.factors = dict(factors)
 
     def begin_step(self, margin: float, *, approach: bool = True) -> None:
@@ -111,7 +106,8 @@ class Problem:
         if approach:
             self._approach(margin)
         self.state.copy(self.converged_state)
-        self.stabilization.start(self.converged_state)
+        for term in self._every_term:
+            term.begin_step(self.converged_state)
 
     def _approach(self, margin: float) -> None:
         travels = self.model.constraints.travels
@@ -125,29 +121,39 @@ class Problem:
     def return_to_converged_state(self) -> None:
         """Give the unknowns the values of the last converged state; load level and histories stay."""
         self.converged_state.copy(self.state)
-        self.stabilization.start(self.converged_state)
+        for term in self._every_term:
+            term.begin_step(self.converged_state)
+
+    def commit(self) -> None:
+        """Advance the histories of the terms: the last evaluation is the end of a part of a step that has converged."""
+        for term in self._every_term:
+            term.commit()
 
     def copy_state(self) -> State:
         """The present unknowns and load level, with the histories of the last converged part of a step."""
-        histories = {} if self.contact is None else {"contact": self.contact.history()}
-        return State(self.state.array_r.copy(), self.factors, histories)
+        return State(self.state.array_r.copy(), self.factors, tuple(term.history() for term in self._every_term))
 
     def restore(self, state: State) -> None:
         """Return to a state. What is detected and evaluated is then still that of another one."""
         self.state.array[:] = state.unknowns
         self.set_loads(dict(state.factors))
-        if self.contact is not None:
-            self.contact.restore(state.histories["contact"])
+        for term, history in zip(self._every_term, state.histories, strict=True):
+            term.restore(history)
 
     def saved_histories(self) -> SavedHistory:
         """The histories of the terms for a checkpoint."""
-        return SavedHistory() if self.contact is None else self.contact.saved()
+        points, scalars = {}, {}
+        for term in self._every_term:
+            saved = term.saved()
+            points |= saved.points
+            scalars |= saved.scalars
+        return SavedHistory(points, scalars)
 
     def resume(self, factors: dict[str, float], read: ReadPoints, scalars: Mapping[str, float]) -> None:
         """Take up a load level and the histories of a checkpoint; the unknowns are written to `state`."""
         self.set_loads(factors)
-        if self.contact is not None:
-            self.contact.resume(read, scalars)
+        for term in self._every_term:
+            term.resume(read, scalars)
 
     def pair(self, margin: float) -> None:
         """Detect contact at the present state with a search radius `margin` (um)."""
@@ -172,11 +178,10 @@ class Problem:
         self.state.array[constraints.fixed] = self.prescribed_values
         constraints.expand(self.state)
 
-    def set_stabilization(self, factor: float) -> None:
-        """Make the stabilization `factor` times as stiff as the weak one."""
-        if self.stabilization.is_active and factor != self.stabilization.factor:
-            self.stabilization.set_factor(factor, self._stiffness)
-            self._renew_stiffness()
+    def change_tangent(self, change: Callable[[PETSc.Mat], None]) -> None:
+        """Let a constant term change: `change` adds the difference to the matrix of all assembled terms."""
+        change(self._stiffness)
+        self._renew_stiffness()
 
     # --- residual
 
@@ -209,36 +214,35 @@ class Problem:
 
     def external_forces(self) -> Array:
         """Norms, as `Unknowns.norms`, of the external forces at the last `residual`: reactions, loads, rigid planes."""
-        self.loads.vector.copy(self._work)
+        self.terms.loads.vector.copy(self._work)
         self._work.axpy(-1.0, self.residual_with_reactions)
         if self.contact is not None:
             self.contact.add_forces_of_planes(self._work)
         return self.model.unknowns.norms(self._work)
 
     def _residual_without_contact(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
-        if self.bulk.is_constant:
-            self._stiffness.mult(x, result)  # the springs' forces at x included
-        else:
-            self.model.set_trial_state(x)
-            self.bulk.assemble_residual(result)
-            if self.loads.follow_state:
-                self.loads.assemble()
-            self.circuits.add_residual(x, result)
-        result.axpy(1.0, self.loads.vector)
-        self.stabilization.add_residual(None if self.bulk.is_constant else x, result)
+        if self.is_constant:
+            self._stiffness.mult(x, result)
+            for term in self.terms:
+                term.add_constant_residual(result)
+            return
+        self.model.set_trial_state(x)
+        result.set(0.0)
+        for term in self.terms:
+            term.add_residual(x, result)
 
     # --- tangent
 
     def linearize(self, x: PETSc.Vec, mode: EvaluationMode = COMPLETE) -> None:
         """Take the tangent at x for `multiply`, `tangent`, `contact_terms` and `linearized_contact_residual`."""
-        if not self.bulk.is_constant:
+        if not self.is_constant:
             with self.timer("assembly"):
                 self.model.set_trial_state(x)
                 self._assemble_stiffness()
                 self._renew_stiffness()
         if self.contact is not None:
             with self.timer("contact"):
-                self._terms = self.contact.evaluate(x, mode, tangent=True)
+                self._contact_terms = self.contact.evaluate(x, mode, tangent=True)
 
     def tangent(self) -> tuple[PETSc.Mat, bool]:
         """The tangent T^T K T as a matrix, and whether its pattern differs from the last."""
@@ -256,7 +260,7 @@ class Problem:
         if self.contact is None:
             size = 2 * self.model.unknowns.block
             return np.zeros((0, 2), np.int64), np.zeros((0, size, size))
-        return self.contact.global_nodes(self._terms), self._terms.matrices
+        return self.contact.global_nodes(self._contact_terms), self._contact_terms.matrices
 
     def bulk_stiffness(self) -> PETSc.Mat:
         """The tangent T^T K T without contact; a new matrix."""
@@ -277,22 +281,19 @@ class Problem:
         """result = tangent K times a change of all unknowns, none eliminated."""
         self._stiffness.mult(change, result)
         if self.contact is not None:
-            self.contact.add_product(self._terms, change, result)
+            self.contact.add_product(self._contact_terms, change, result)
 
     def linearized_contact_residual(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = contact's residual plus its tangent times a change of the state."""
         result.set(0.0)
-        self.contact.add_residual(self._terms, result)
-        self.contact.add_product(self._terms, change, result)
+        self.contact.add_residual(self._contact_terms, result)
+        self.contact.add_product(self._contact_terms, change, result)
 
     def _assemble_stiffness(self) -> None:
         """The tangent of all but contact at the model's state."""
         self._stiffness.zeroEntries()
-        self.bulk.add_tangent(self._stiffness)
-        self.loads.add_tangent(self._stiffness)
-        self.circuits.add_tangent(self._stiffness)
-        self._stiffness.assemble()
-        self.stabilization.add_tangent(self._stiffness)
+        for term in self.terms:
+            term.add_tangent(self._stiffness)
 
     def _renew_stiffness(self) -> None:
         self.stiffness_version += 1
@@ -300,6 +301,14 @@ class Problem:
             self._matrix.set_bulk(self._stiffness)
 
     # --- measures of the state
+
+    def energies(self, x: PETSc.Vec) -> dict[str, float]:
+        """Energies of all terms at x, where the residual was evaluated last, by name, pJ (2D: per um of depth)."""
+        total: dict[str, float] = {}
+        for term in self._every_term:
+            for name, value in term.energies(x).items():
+                total[name] = total.get(name, 0.0) + value
+        return total
 
     def potential_range(self) -> float:
         """Range of the potential over the model, V, or the rounding of one."""

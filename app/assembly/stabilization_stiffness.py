@@ -14,6 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.discretization.model import Model
+from piezomat.discretization.term import AssembledTerm
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.stabilization import stabilization_form
@@ -21,7 +22,7 @@ from piezomat.forms.stabilization import stabilization_form
 RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the part's stiffness over its size squared
 
 
-class StabilizationStiffness:
+class StabilizationStiffness(AssembledTerm):
     """Springs of the unconstrained parts of a model: force factor * stiffness * (x - x_a). Every method is collective.
 
     is_active: whether there are springs
@@ -40,7 +41,7 @@ class StabilizationStiffness:
             self._stiffness = _stiffness(model, held_by_planes)
             self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
 
-    def start(self, x: PETSc.Vec) -> None:
+    def begin_step(self, x: PETSc.Vec) -> None:
         """Let the springs pull back to the last converged state x, their work being none."""
         if self.is_active:
             x.copy(self._anchor)
@@ -52,7 +53,7 @@ class StabilizationStiffness:
         x.copy(self._anchor)
 
     def add_tangent(self, matrix: PETSc.Mat) -> None:
-        """Add the springs to the diagonal of an assembled matrix."""
+        """See `AssembledTerm.add_tangent`."""
         if self.is_active:
             self._add_to_diagonal(matrix, self.factor)
 
@@ -61,13 +62,21 @@ class StabilizationStiffness:
         self._add_to_diagonal(matrix, factor - self.factor)
         self.factor = factor
 
-    def add_residual(self, x: PETSc.Vec | None, result: PETSc.Vec) -> None:
-        """Add the springs' residual at x; without x its constant part, -factor * stiffness * x_a."""
-        if not self.is_active:
-            return
-        self._anchor.copy(self._work)
-        if x is not None:
+    def add_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+        """See `AssembledTerm.add_residual`."""
+        if self.is_active:
+            self._anchor.copy(self._work)
             self._work.axpy(-1.0, x)
+            self._add_forces(result)
+
+    def add_constant_residual(self, result: PETSc.Vec) -> None:
+        """Add -factor * stiffness * x_a."""
+        if self.is_active:
+            self._anchor.copy(self._work)
+            self._add_forces(result)
+
+    def _add_forces(self, result: PETSc.Vec) -> None:
+        """Subtract the springs times `_work`."""
         self._work.pointwiseMult(self._stiffness, self._work)
         result.axpy(-self.factor, self._work)
 

@@ -20,6 +20,7 @@ from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.surface_pair import PenetratingNodes, SurfacePair
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.state import ReadPoints, SavedHistory
+from piezomat.discretization.term import Term
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.meshes import parallel
@@ -36,7 +37,7 @@ class ContactHistory:
     last_penetration: float
 
 
-class Interfaces:
+class Interfaces(Term):
     """All surface pairs and rigid planes of a run on this rank. Every method is collective.
 
     surface_pairs, planes: the contact points of each, and `point_sets` those of both
@@ -262,7 +263,7 @@ class Interfaces:
         """Global node numbers (k, n) of each facet pair of the terms."""
         return self.nodes.number[terms.nodes]
 
-    def move_planes(self, factors: dict[str, float]) -> None:
+    def set_loads(self, factors: dict[str, float]) -> None:
         """Move the planes to a load level."""
         for p in self.planes:
             p.move(factors)
@@ -374,7 +375,7 @@ class Interfaces:
     def _deepest(self, depths: Iterable[Array]) -> float:
         return self.comm.allreduce(max((float(d.max(initial=0.0)) for d in depths), default=0.0), op=MPI.MAX)
 
-    def energies(self) -> dict[str, float]:
+    def energies(self, x: PETSc.Vec | None = None) -> dict[str, float]:
         """Energies of the last evaluation (pJ; 2D: per um of depth): contact, adhesion, electric, dissipated."""
         total = parallel.total(self.comm, sum((p.energies() for p in self.point_sets), np.zeros(4)))
         return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))

@@ -24,12 +24,12 @@ class State:
 
     unknowns (local,): of this rank
     factors: load factors
-    histories: of the terms, by name; each knows its own
+    histories: of the terms, in their order; each knows its own
     """
 
     unknowns: Array
     factors: Mapping[str, float]
-    histories: Mapping[str, Any]
+    histories: tuple[Any, ...]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,9 @@ def electrode_states(problem: Problem) -> list[ElectrodeState]:
     voltages = model.potential_scale * constraints.potentials.values(problem.state)
     # The residual is that of what lies in the bodies, across contacts, and of the charges given: without these it is
     # minus the charge.
-    sums = [constraints.ties.sums(vector)[:count] for vector in (problem.loads.vector, problem.residual_with_reactions)]
-    charges = (sums[0] - sums[1]) / model.potential_scale - problem.circuits.charges(problem.state)
+    sums = [
+        constraints.ties.sums(vector)[:count]
+        for vector in (problem.terms.loads.vector, problem.residual_with_reactions)
+    ]
+    charges = (sums[0] - sums[1]) / model.potential_scale - problem.terms.circuits.charges(problem.state)
     return [ElectrodeState(float(v), float(q)) for v, q in zip(voltages, charges, strict=True)]

@@ -51,7 +51,7 @@ class EnergyBalance:
         by_node, d = problem.model.unknowns.by_node, problem.model.dim
         # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
         # and the reactions.
-        new = by_node(problem.residual_with_reactions) - by_node(problem.loads.vector)
+        new = by_node(problem.residual_with_reactions) - by_node(problem.terms.loads.vector)
         old, x, x0 = by_node(self.forces), by_node(problem.state), by_node(problem.converged_state)
         work = 0.0
         if snap_through_work is None:
@@ -63,7 +63,7 @@ class EnergyBalance:
             self.external_work += float(snap_through_work[0])
             self.stabilization_work += float(snap_through_work[1])
         self._add_planes(by_force=snap_through_work is None)
-        self.stabilization_work += problem.stabilization.work(problem.state)
+        self.stabilization_work += problem.terms.stabilization.work(problem.state)
         problem.model.unknowns.set_by_node(self.forces, new)
 
     def _plane_values(self) -> Array:

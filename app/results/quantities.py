@@ -137,13 +137,10 @@ def _pairs(at: ConvergedStep) -> list[Any]:
 
 
 def _energies(at: ConvergedStep) -> list[Any]:
-    """Energies of bulk and contact by name, with the work of the balance."""
-    bulk = at.problem.bulk.energies(at.problem.state)
-    contact = dict.fromkeys(("contact", "adhesion", "electric", "dissipated"), 0.0)
-    if at.problem.contact is not None:
-        contact = at.problem.contact.energies()
+    """Energies of the terms by name, with the work of the balance."""
+    none = dict.fromkeys(("contact", "adhesion", "dissipated"), 0.0)
     work = {"stabilization": at.balance.stabilization_work, "external_work": at.balance.external_work}
-    return [bulk | contact | work | {"electric": bulk["electric"] + contact["electric"]}]
+    return [none | at.problem.energies(at.problem.state) | work]
 
 
 def _electric(model: Model) -> bool:

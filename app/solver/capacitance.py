@@ -71,7 +71,7 @@ class Capacitance:
         if len(self._solved) < len(given):
             differences[:, np.delete(np.arange(len(given)), self._solved)] = -1.0
         matrix = differences.T @ _of_charges(stationary, open_) @ differences
-        return 0.5 * (matrix + matrix.T) - problem.circuits.matrix
+        return 0.5 * (matrix + matrix.T) - problem.terms.circuits.matrix
 
     def _change(self, electrode: int, response: PETSc.Vec) -> PETSc.Vec:
         """The change of the state x for a unit potential or a unit charge of an electrode; a new vector.

@@ -60,7 +60,7 @@ class Direct:
     def __init__(self, problem: Problem, keys: Solver) -> None:
         self.problem = problem
         chosen_by_scene = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
-        constant = problem.contact is not None and problem.bulk.is_constant and problem.is_symmetric
+        constant = problem.contact is not None and problem.is_constant and problem.is_symmetric
         self._condensation: Condensation | None = Condensation(problem) if constant and not chosen_by_scene else None
         self._counted = self._condensation
         self.equations: Equations = WholeProblem(problem)

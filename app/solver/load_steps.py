@@ -108,7 +108,7 @@ class Stepper:
         self.newton = newton
         self.watch = newton.watch
         self.stabilization = (
-            StabilizationContinuation(problem, newton.solve) if problem.stabilization.is_active else None
+            StabilizationContinuation(problem, newton.solve) if problem.terms.stabilization.is_active else None
         )
         self.max_cutbacks = max_cutbacks
         self.augment_tolerance = augment_tolerance
@@ -120,14 +120,14 @@ class Stepper:
         return {
             "size": self.size,
             "motion": self.last_motion,
-            "stabilization_factor": self.problem.stabilization.factor,
+            "stabilization_factor": self.problem.terms.stabilization.factor,
         }
 
     def resume(self, size: float, motion: float, stabilization_factor: float | None) -> None:
         """Take up what `saved` has given; None: a factor that is not known."""
         self.size, self.last_motion = size, motion
-        if stabilization_factor is not None:
-            self.problem.set_stabilization(stabilization_factor)
+        if self.stabilization is not None and stabilization_factor is not None:
+            self.stabilization.set_factor(stabilization_factor)
 
     def advance(self, step: Step, committed: Callable[[StepReport], None]) -> StepReport:
         """Take the step, in parts if need be; `committed(report so far)` is called after each part that converged.
@@ -186,8 +186,7 @@ class Stepper:
             raise
         self.last_motion = problem.motion()
         report.snap_through_work = snap_through_work(problem)
-        if problem.contact is not None:
-            problem.contact.commit()
+        problem.commit()
         committed(report)
 
     def _snap_through(

@@ -216,7 +216,7 @@ class Newton:
 
     def _final_solve(self) -> None:
         """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
-        if self.linear.close_tolerance is not None and self.problem.stabilization.is_active:
+        if self.linear.close_tolerance is not None and self.problem.terms.stabilization.is_active:
             self.start_value.step(self._report, self._mode, closely=True)
             self.problem.residual(self.problem.state, self._residual)
 

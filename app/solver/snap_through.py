@@ -79,7 +79,7 @@ def snap_through_work(problem: Problem) -> Array | None:
         x = (1.0 - share) * problem.converged_state + share * end
         problem.residual(x, reduced, without_viscosity)
         held = unknowns.displacements(problem.residual_with_reactions) * change[: len(fixed)] * fixed
-        applied = displacements(problem.loads.vector) * change
+        applied = displacements(problem.terms.loads.vector) * change
         outside, free = held.sum() - applied.sum(), -(displacements(reduced) * change).sum()
         return parallel.total(problem.comm, np.array([outside, free]))
 
@@ -106,7 +106,7 @@ def snap_through_work(problem: Problem) -> Array | None:
 
 def _energy(problem: Problem, x: PETSc.Vec) -> float:
     """Energy stored and dissipated at the state of the last evaluation of contact, pJ."""
-    return sum(problem.bulk.energies(x).values()) + sum(problem.contact.energies().values())
+    return sum(problem.energies(x).values())
 
 
 def _electric_work(problem: Problem, end: PETSc.Vec, change: Array) -> float:

@@ -45,8 +45,14 @@ class StabilizationContinuation:
     def __init__(self, problem: Problem, newton: Callable[[float, NewtonReport], None]) -> None:
         self.problem = problem
         self.newton = newton
-        if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not problem.loads.exist:
-            problem.set_stabilization(STIFFER)
+        if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not problem.terms.loads.exist:
+            self.set_factor(STIFFER)
+
+    def set_factor(self, factor: float) -> None:
+        """Make the springs `factor` times as stiff as the weak ones."""
+        springs = self.problem.terms.stabilization
+        if factor != springs.factor:
+            self.problem.change_tangent(lambda matrix: springs.set_factor(factor, matrix))
 
     def solve(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Bring the problem's state to equilibrium; SolveError (and a spoilt state) if that fails.
@@ -60,15 +66,15 @@ class StabilizationContinuation:
             if self._load_share() <= LARGEST_LOAD_SHARE:
                 return
         except SolveError as error:
-            if not (problem.loads.exist or problem.model.has_unconstrained_bodies):
+            if not (problem.terms.loads.exist or problem.model.has_unconstrained_bodies):
                 raise
             log.info("loose bodies: %s", error)
         problem.return_to_converged_state()
         problem.pair(search_radius)
-        if problem.loads.exist:
+        if problem.terms.loads.exist:
             self._reduce(search_radius, prescribed, report)
         else:
-            problem.set_stabilization(STIFFER if problem.stabilization.factor == 1.0 else 1.0)
+            self.set_factor(STIFFER if problem.terms.stabilization.factor == 1.0 else 1.0)
             self._solve(search_radius, prescribed, report)
 
     def _solve(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
@@ -77,13 +83,13 @@ class StabilizationContinuation:
         self.newton(search_radius, report)
         if self._has_flown(prescribed):
             raise SolveError(f"a body has flown: {FLOWN:g} of the thinnest one's thickness in one step")
-        if problem.stabilization.factor == STIFFER:
-            stored = sum(problem.bulk.energies(problem.state).values())
-            if problem.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
+        if problem.terms.stabilization.factor == STIFFER:
+            stored = sum(problem.terms.bulk.energies(problem.state).values())
+            if problem.terms.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
     def _load_share(self) -> float:
-        return self.problem.stabilization.load_share(self.problem.state, self.problem.loads.vector)
+        return self.problem.terms.stabilization.load_share(self.problem.state, self.problem.terms.loads.vector)
 
     def _release(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Let the springs go and solve again, as often as they carry a share of forces that must be exact."""
@@ -93,7 +99,7 @@ class StabilizationContinuation:
         for _ in range(MAX_RELEASES):
             if self._load_share() <= RELEASED:
                 return
-            problem.stabilization.release(problem.state)
+            problem.terms.stabilization.release(problem.state)
             self._solve(search_radius, prescribed, report)
 
     def _reduce(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
@@ -103,7 +109,7 @@ class StabilizationContinuation:
         try:
             while last > 1.0:
                 factor = max(last / reduction, 1.0)
-                problem.set_stabilization(factor)
+                self.set_factor(factor)
                 try:
                     self.newton(search_radius, report)
                     if self._has_flown(prescribed, here):
@@ -120,7 +126,7 @@ class StabilizationContinuation:
                     problem.state.copy(here)
                     last, reduction = factor, min(reduction**2, LARGEST_REDUCTION)
         finally:
-            problem.set_stabilization(1.0)
+            self.set_factor(1.0)
         self._release(search_radius, prescribed, report)
         if self._load_share() > LARGEST_LOAD_SHARE:
             raise SolveError(UNHELD)

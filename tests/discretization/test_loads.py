@@ -25,10 +25,9 @@ def test_nodal_loads_sum_to_what_is_applied(comm: MPI.Comm) -> None:
         {"on": "lower_right", "pressure": 2.0, "charge_density": 0.5},
     ]
     model = blocks(comm, boundaries=rows, load=LOAD)
-    model.loads.set_factors({"pull": 0.5})
     nodal = NodalLoads(model)
-    nodal.assemble()
-    assert nodal.exist and not nodal.follow_state
+    nodal.set_loads({"pull": 0.5})
+    assert nodal.exist and nodal.is_constant and nodal.is_symmetric
     found = parallel.total(comm, -model.unknowns.by_node(nodal.vector).sum(axis=0))
     found[2] *= -1.0 / model.potential_scale
     forces = np.array([0.5 * 3.0 * 2 * HEIGHT - 2.0 * HEIGHT, -0.5 * 2 * HEIGHT])
@@ -44,14 +43,14 @@ def test_pressure_of_finite_kinematics_follows_the_state(comm: MPI.Comm) -> None
         comm, boundaries=rows, model={"kinematics": "finite"}, bodies={"lower": "elastic", "upper": "elastic"}
     )
     nodal = NodalLoads(model)
-    assert nodal.follow_state
+    assert not (nodal.is_constant or nodal.is_symmetric)
     stretched = model.new_vector()
     values = np.zeros((model.unknowns.owned, 2))
     values[:, 0] = 0.1 * model.unknowns.coordinates[: model.unknowns.owned, 0]
     stretched.array[:] = values.ravel()
     for state, width in ((model.new_vector(), WIDTH), (stretched, 1.1 * WIDTH)):
         model.set_trial_state(state)
-        nodal.assemble()
+        nodal.set_loads({})
         force = parallel.total(comm, -model.unknowns.displacements(nodal.vector).sum(axis=0))
         np.testing.assert_allclose(force, [0.0, -2.0 * width], atol=1e-12)
 
@@ -59,8 +58,8 @@ def test_pressure_of_finite_kinematics_follows_the_state(comm: MPI.Comm) -> None
 @pytest.mark.mpi
 def test_without_loads_there_is_no_form(comm: MPI.Comm) -> None:
     nodal = NodalLoads(blocks(comm, boundaries=[{"on": "bottom", "displacement": [0, 0]}]))
-    nodal.assemble()
-    assert not nodal.exist and not nodal.follow_state and not nodal.vector.array_r.any()
+    nodal.set_loads({})
+    assert not nodal.exist and nodal.is_constant and nodal.is_symmetric and not nodal.vector.array_r.any()
 
 
 def test_a_load_inside_a_body_names_the_row_that_has_it() -> None:

@@ -100,7 +100,7 @@ def final_energies(scene: Scene, comm: MPI.Comm, fails_at: int) -> tuple[dict[st
         found = [stepper.advance(step, lambda part: None) for step in steps(scene.load)]
         assert all(whole)  # every solve begins with the whole problem
         evaluations = fails_at - left[0]
-        energies = problem.bulk.energies(problem.state) | problem.contact.energies()
+        energies = problem.terms.bulk.energies(problem.state) | problem.contact.energies()
         return energies, sum(r.cutbacks for r in found), evaluations
 
 

@@ -70,8 +70,8 @@ class FailsWhileWeak:
         self.factors: list[float] = []
 
     def __call__(self, problem: Problem) -> None:
-        self.factors.append(problem.stabilization.factor)
-        if problem.stabilization.factor == 1.0:
+        self.factors.append(problem.terms.stabilization.factor)
+        if problem.terms.stabilization.factor == 1.0:
             raise SolveError("it flies to and fro")
 
 
@@ -183,4 +183,7 @@ def test_no_body_stays_where_a_wild_step_threw_it() -> None:
         stepper.advance(next(steps(scene.load)), lambda part: None)
         moved = problem.model.unknowns.displacements(problem.state)
         assert next(times, None) is None and np.abs(moved).max() < 0.01
-        assert problem.stabilization.load_share(problem.state, problem.loads.vector) < continuation.LARGEST_LOAD_SHARE
+        assert (
+            problem.terms.stabilization.load_share(problem.state, problem.terms.loads.vector)
+            < continuation.LARGEST_LOAD_SHARE
+        )

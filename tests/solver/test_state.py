@@ -86,9 +86,9 @@ def test_a_failed_part_leaves_nothing(comm: MPI.Comm) -> None:
 
 def test_a_solver_goes_on_with_the_springs_that_it_had(comm: MPI.Comm) -> None:
     with stepper_of(pressed(2), comm) as first, stepper_of(pressed(2), comm) as second:
-        assert first.problem.stabilization.is_active  # of the potential of the upper one
-        first.problem.set_stabilization(100.0)
+        assert first.problem.terms.stabilization.is_active  # of the potential of the upper one
+        first.stabilization.set_factor(100.0)
         second.resume(**first.saved())
-        assert second.problem.stabilization.factor == 100.0
+        assert second.problem.terms.stabilization.factor == 100.0
         second.resume(1.0, 0.0, None)
-        assert second.problem.stabilization.factor == 100.0
+        assert second.problem.terms.stabilization.factor == 100.0
