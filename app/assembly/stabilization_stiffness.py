@@ -19,6 +19,7 @@ from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.stabilization import stabilization_form
 
+TRAVEL_STIFFNESS = 1e-12  # the same of the travel of a plane, which is always in contact where a force pushes it
 RELATIVE_STIFFNESS = 1e-8  # of the springs of a volume, at factor 1, over the part's stiffness over its size squared
 
 
@@ -119,9 +120,10 @@ def _stiffness(model: Model, held_by_planes: Booleans) -> PETSc.Vec:
     test = ufl.TestFunction(model.unknowns.space)
     model.assemble_vector(dolfinx.fem.form(stabilization_form(test, strength)), springs)
     # Of a plane as large as the model, whose stiffness is `model.stiffness` in units of the potential too.
-    weak = RELATIVE_STIFFNESS * model.stiffness * model.parts.volume / model.parts.size.max() ** 2
-    model.constraints.potentials.add_values(springs, -weak * held_by_planes)
-    model.constraints.travels.add_values(springs, np.full(len(model.constraints.travels), weak))
+    unit = model.stiffness * model.parts.volume / model.parts.size.max() ** 2
+    model.constraints.potentials.add_values(springs, -RELATIVE_STIFFNESS * unit * held_by_planes)
+    travels = model.constraints.travels
+    travels.add_values(springs, np.full(len(travels), TRAVEL_STIFFNESS * unit))
     return springs
 
 
