@@ -216,7 +216,7 @@ class _Session:
         reason = "all load steps converged"
         failure: Exception | None = None
         erratic: list[str] = []
-        self.stepper.watch.show = progress.working
+        self.stepper.watch.show_with(progress.working)
         with progress:
             if self.scene.outcome is not None:
                 log.info("%s", self.scene.outcome)

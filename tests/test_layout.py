@@ -121,6 +121,60 @@ def test_one_file_asks_for_a_version_of_dolfinx() -> None:
     assert asked == ["piezomat.results.summary: fenicsx.VERSION"]
 
 
+# Objects of libraries whose attributes have names that classes of piezomat have too.
+OTHERS = {
+    "piezomat.pictures.render": {"camera", "edges"},
+    "piezomat.cli": {"options"},
+    "piezomat.discretization.loads": {"constant"},
+}
+# A response is what the laws of an interface add up to.
+SUMS = "piezomat.forms.contact.laws.response"
+
+
+@cache
+def attributes() -> dict[str, set[str]]:
+    """The modules with a class that has an attribute of this name, from its body or from its own methods."""
+    found: dict[str, set[str]] = {}
+    for name, file in modules().items():
+        for kind in (n for n in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(n, ast.ClassDef)):
+            own = [n.target.id for n in kind.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)]
+            own += [of.attr for of in _written(kind) if ast.unparse(of.value) == "self"]
+            for attribute in own:
+                found.setdefault(attribute, set()).add(name)
+    return found
+
+
+def _written(tree: ast.AST) -> Iterator[ast.Attribute]:
+    """The attributes that are assigned or deleted anywhere in a tree."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
+            yield node
+
+
+def _set_from_outside(name: str, tree: ast.AST) -> list[str]:
+    """What a module assigns to attributes of objects whose class is in another one."""
+    own = {"self", "cls", *OTHERS.get(name, ()), *(n.name for n in ast.walk(tree) if isinstance(n, ast.ClassDef))}
+    found = []
+    for of in _written(tree):
+        owner, classes = ast.unparse(of.value), attributes().get(of.attr, set())
+        if owner not in own and classes and not classes & {name, SUMS}:
+            found.append(f"{name}:{of.lineno}: {owner}.{of.attr}")
+    return found
+
+
+def test_classes_own_their_attributes() -> None:
+    """No module assigns to an attribute of an object whose class is in another one."""
+    outside = ast.parse("problem.converged_state = x\nself.search.radius, other.z = 1, 2\ndel problem.factors")
+    found = {text.rpartition(" ")[2] for text in _set_from_outside("piezomat.simulation", outside)}
+    assert found == {"problem.converged_state", "self.search.radius", "problem.factors"}
+    wrong = [
+        text
+        for name, file in modules().items()
+        for text in _set_from_outside(name, ast.parse(file.read_text(encoding="utf-8")))
+    ]
+    assert wrong == []
+
+
 def test_the_bare_names_are_banned() -> None:
     """From the root `app`, `forms` and `meshes` would import a second time, as copies of what `piezomat` holds."""
     lint = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["ruff"]["lint"]

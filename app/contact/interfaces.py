@@ -162,7 +162,7 @@ class Interfaces(Term):
 
     def set_candidate_distance(self, distance: float) -> None:
         """Let `candidate_nodes` find what is as far as this from touching, um."""
-        self._search.candidate_distance = distance
+        self._search.set_candidate_distance(distance)
 
     def set_iteration(self, iteration: int) -> None:
         """Set the projection tolerance of a solve's Newton iteration: it grows, against cycling between facets."""

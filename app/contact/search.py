@@ -43,6 +43,10 @@ class ContactSearch:
         self._bodies = bodies
         self._projection_tolerance = PROJECTION_TOLERANCES[0][1]
 
+    def set_candidate_distance(self, distance: float) -> None:
+        """Let the local search find what a solver needs, up to this gap, um."""
+        self.candidate_distance = distance
+
     def restart(self, displacement: Array, radius: float) -> None:
         """Begin after a detection with this search radius, the seen nodes displaced by (n, d)."""
         self.radius, self.radius_exceeded = radius, False

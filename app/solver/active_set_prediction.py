@@ -99,7 +99,6 @@ class ActiveSetPrediction:
                     ksp.solve(self._right, self._work)
             problem.model.constraints.expand(self._work)
             change.axpy(1.0, self._work)
-            report.linear_solves += 1
-            report.krylov += ksp.getIterationNumber()
+            report.add(ksp.getIterationNumber())
         best.copy(change)
         contact.end_prediction()

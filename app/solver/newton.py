@@ -32,7 +32,7 @@ from piezomat.solver.end_checks import EndChecks
 from piezomat.solver.line_search import LineSearch
 from piezomat.solver.linear import linear_solver
 from piezomat.solver.options import SolverOptions
-from piezomat.solver.outcome import FAR, NewtonReport, SolveError
+from piezomat.solver.outcome import NewtonReport, SolveError
 from piezomat.solver.start_value import StartValue
 from piezomat.solver.step_watch import StepWatch
 
@@ -110,11 +110,10 @@ class Newton:
         before = self.linear.factor_solves
         try:
             self._solve(search_radius)
-            report.wandering = sum(residual > FAR for residual in report.residuals[first:])
+            report.note_converged(first)
         finally:
             self.linear.equations.discard()  # of a solve that has failed on the way
-            report.factor_solves += self.linear.factor_solves - before
-            report.candidates = self.linear.candidates
+            report.add_condensed(self.linear.factor_solves - before, self.linear.candidates)
 
     def capacitance(self) -> Array | None:
         """Capacitance matrix of the electrodes at the problem's state, see `Capacitance`; None without any."""
@@ -152,9 +151,8 @@ class Newton:
         self.snes.setJacobian(self._tangent_at, *self.linear.operators)
         with self._timed_linear_solve, self.callback_errors.raised():
             self.snes.solve(None, self.problem.state)
-        self._report.iterations += self.snes.getIterationNumber()
-        self._report.linear_solves += self.snes.getIterationNumber()
-        self._report.krylov += self.snes.getLinearSolveIterations()
+        number = self.snes.getIterationNumber()
+        self._report.add(self.snes.getLinearSolveIterations(), iterations=number, linear_solves=number)
         self.watch.end_step()
 
     @callback(instead=not_numbers)

@@ -37,3 +37,18 @@ class NewtonReport:
     factor_solves: int = 0
     candidates: int = 0
     wandering: int = 0
+
+    def add(self, krylov: int, *, iterations: int = 0, linear_solves: int = 1) -> None:
+        """Add linear solves, the iterations of the Krylov solver in them, and the Newton iterations that they made."""
+        self.iterations += iterations
+        self.linear_solves += linear_solves
+        self.krylov += krylov
+
+    def add_condensed(self, factor_solves: int, candidates: int) -> None:
+        """Add what a solve took of a condensed bulk."""
+        self.factor_solves += factor_solves
+        self.candidates = candidates
+
+    def note_converged(self, first: int) -> None:
+        """Note that the solve has converged whose first residual has this index."""
+        self.wandering = sum(residual > FAR for residual in self.residuals[first:])

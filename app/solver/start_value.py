@@ -59,9 +59,7 @@ class StartValue:
         right.array[fixed] = prescribed.array_r[fixed]
         tolerance = self.linear.close_tolerance if closely else self.linear.start_tolerance
         solve(problem, self.linear, self.snes, right, step, tolerance)
-        report.iterations += 1
-        report.linear_solves += 1
-        report.krylov += self.snes.getKSP().getIterationNumber()
+        report.add(self.snes.getKSP().getIterationNumber(), iterations=1)
         if self.prediction.is_cheap:
             # From here on contact alone is out of balance: its prediction takes no solve inside the bodies.
             right.waxpy(1.0, step, problem.state)

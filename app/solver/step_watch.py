@@ -42,6 +42,10 @@ class StepWatch:
         self._step, self._tries, self._share, self._reason = 0, 0, 1.0, ""
         self._end: StepAbandoned | None = None
 
+    def show_with(self, show: Callable[[str], None]) -> None:
+        """Let `show` receive the lines from now on."""
+        self.show = show
+
     def start(self, step: int) -> None:
         """Begin a load step, by its number."""
         self._step, self._tries, self.iterations = step, 0, 0

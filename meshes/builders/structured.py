@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Literal
@@ -55,6 +55,10 @@ class Lattice:
         on_side = self._index(tuple(np.delete(self.shape, axis)))
         index = np.insert(on_side, axis, end % self.shape[axis], axis=-1)
         return np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), self.shape)
+
+    def move(self, moved: Callable[[Array], Array]) -> None:
+        """Move the points: `moved` gives their new positions, as an array of the same shape."""
+        self.points = moved(self.points)
 
     def distort(self, fraction: float, seed: int) -> None:
         """Move the corners inside by up to this fraction of the least cell size along each axis.

@@ -81,7 +81,7 @@ class StackedBlocks(Shape):
             axes[-1] += base
             lattice = Lattice.box(axes, sizes.order, sizes.tensor)
             lattice.distort(self.distortion, seed=i)
-            lattice.points = _tilted(lattice.points, self.tilt)
+            lattice.move(lambda points: _tilted(points, self.tilt))
             sides = {}
             for name, side in SIDES[dim].items():
                 meets = (name == "bottom" and i > 0) or (name == "top" and i < last)
