@@ -89,7 +89,8 @@ class RunDoubts:
     def _drifting(self) -> list[str]:
         """Bodies that nothing holds, on which forces as large as others act from one side."""
         model = self.problem.model
-        loaded = {row.on for row in model.scene.boundaries if row.traction is not None or row.pressure is not None}
+        rows = model.scene.boundaries
+        loaded = {row.on for row in rows if (row.traction, row.pressure, row.force) != (None, None, None)}
         if loaded:  # a load may be what presses a body against another
             return []
         names = model.bodies.bodies
