@@ -121,6 +121,8 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
     }.items():
         command = commands.add_parser(name, help=purpose, description=purpose)
         command.add_argument("directory", type=_directory, metavar="DIR", help="directory of the run")
+        if name == "view":
+            _add_choices(command)
     commands.add_parser("schema", help="print the JSON schema of a scene file")
     try:
         options = parser.parse_args(argv)
@@ -129,6 +131,16 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
     except SystemExit as stop:
         return int(stop.code or DONE)
     return options
+
+
+def _add_choices(command: argparse.ArgumentParser) -> None:
+    """The options of `view`: what is drawn, by default what says most."""
+    command.add_argument("--step", type=int, metavar="N", help="a step that has fields")
+    command.add_argument("--field", help="colours the bodies: potential, displacement, von_mises, stress, strain, ...")
+    command.add_argument("--component", help="x, y, z, or xx yy zz yz xz xy of stress and strain")
+    command.add_argument("--x", metavar="COLUMN", help="of the history, below the curves; default: what moves")
+    command.add_argument("--panel", nargs="+", default=[], metavar="NAME", help="of bodies, zone, pressure, curves")
+    command.add_argument("--format", default="png", metavar="png|pdf|svg", help="default: png")
 
 
 def _directory(text: str) -> Path:
@@ -221,13 +233,14 @@ def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
 def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
     on_root(comm, lambda: _check_results(options.directory, "history.csv"))
     on_root(comm, lambda: _check_picture(options.directory))
-    from piezomat.pictures import picture as pictures
+    from piezomat.pictures.picture import Choice, view
     from piezomat.results.vtk import ResultsError
 
+    choice = Choice(options.step, options.field, options.component, options.x, tuple(options.panel))
     try:
-        return _done(comm, *on_root(comm, lambda: pictures.view(options.directory)))
+        return _done(comm, *on_root(comm, lambda: view(options.directory, choice, options.format)))
     except ResultsError as error:
-        return _fail(comm, error, FAILED)
+        return _fail(comm, error, WRONG_SCENE if str(error).startswith("--") else FAILED)
 
 
 def _schema(options: argparse.Namespace, comm: MPI.Comm) -> int:
@@ -297,8 +310,8 @@ def _check_writable(there: Path) -> None:
 
 def _check_picture(directory: Path) -> None:
     """Raise SceneError where a picture would be replaced that no run has drawn."""
-    if (directory / "picture.png").exists() and not is_of_a_run(directory):
-        raise SceneError("", "a picture.png that no run has drawn", "the directory of a run").in_file(directory)
+    if any(directory.glob("picture.*")) and not is_of_a_run(directory):
+        raise SceneError("", "a picture that no run has drawn", "the directory of a run").in_file(directory)
 
 
 def _mesh_name(text: str, scene: Scene) -> Path:

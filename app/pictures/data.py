@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.contact.pairs import Pairs
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.results.files import Value, read_history
 from piezomat.results.pieces import read_contact, read_fields
 from piezomat.results.vtk import STATUS, IndexEntry, ResultsError, read_index, von_mises
+from piezomat.scene.errors import named
 
 # Cells of 2D meshes by VTK type: triangles between their nodes, and their edges from corner to corner.
 _TRIANGLES = {
@@ -33,15 +34,15 @@ _EDGES = {
     9: [[0, 1], [1, 2], [2, 3], [3, 0]],
     28: [[0, 4, 1], [1, 5, 2], [2, 6, 3], [3, 7, 0]],
 }
-_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+_PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 @dataclass(frozen=True)
 class Bodies:
     """The cells of all ranks at a step, each node once in each body.
 
-    points (n, 3), cells (m, nodes) of one VTK type, displacement (n, 3), potential (n,) or None,
-    stress (m, 6), body (m,); units as in `FieldPiece`.
+    points (n, 3), cells (m, nodes) of one VTK type, displacement (n, 3), potential (n,) or None, stress (m, 6), body
+    (m,), and by name what else is known in cells; places (n,), place_names: see `FieldPiece`, as for all units.
     """
 
     points: Array
@@ -51,6 +52,23 @@ class Bodies:
     potential: Array | None
     stress: Array
     body: Integers
+    in_cells: Mapping[str, Array] = field(default_factory=dict)
+    places: Integers | None = None
+    place_names: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of bodies."""
+        return int(self.body.max(initial=-1)) + 1
+
+    @cached_property
+    def dielectric(self) -> Booleans:
+        """Whether each body has a permittivity: charge is displaced somewhere in it, or in none (bodies,)."""
+        density = self.in_cells.get("electric_displacement")
+        every = np.ones(self.count, bool)
+        if density is None or not density.any():
+            return every
+        return np.bincount(self.body, np.abs(density).sum(axis=1), minlength=self.count) > 0.0
 
     @property
     def flat(self) -> bool:
@@ -64,10 +82,20 @@ class Bodies:
 
     @cached_property
     def von_mises(self) -> Array:
-        """Von Mises stress at the nodes (n,), MPa: mean of the cells around each, body by body."""
+        """Von Mises stress at the nodes (n,), MPa."""
+        return self.at_nodes(von_mises(self.stress))
+
+    def at_nodes(self, values: Array) -> Array:
+        """Values in the cells (m,) at the nodes (n,): mean of the cells around each, body by body."""
         count = np.bincount(self.cells.ravel(), minlength=len(self.points))
-        spread = np.repeat(von_mises(self.stress), self.cells.shape[1])
+        spread = np.repeat(values, self.cells.shape[1])
         return np.bincount(self.cells.ravel(), spread, minlength=len(self.points)) / np.maximum(count, 1)
+
+    def on_place(self, name: str) -> Booleans:
+        """Whether each node (n,) is on a boundary or electrode."""
+        if self.places is None or name not in self.place_names:
+            return np.zeros(len(self.points), bool)
+        return (self.places >> self.place_names.index(name)) & 1 == 1
 
     def triangles(self, body: int) -> Integers:
         """Triangles between the nodes of a body of a 2D mesh (t, 3)."""
@@ -132,7 +160,7 @@ class ContactData:
 
 @dataclass(frozen=True)
 class RunData:
-    """Everything shown of a run. names: of its bodies, if there is a summary, and of its planes."""
+    """Everything shown of a run. names: of its bodies, if there is a summary, and of its planes. scene: its tables."""
 
     title: str
     history: list[dict[str, Value]]
@@ -140,6 +168,12 @@ class RunData:
     bodies: Bodies | None
     contact: ContactData | None
     names: tuple[Sequence[str], Sequence[str]] = ((), ())
+    scene: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def row(self) -> dict[str, Value]:
+        """The row of the history of the step that is shown; the last one without fields."""
+        return next((row for row in self.history if row["step"] == self.step), self.history[-1] if self.history else {})
 
     @property
     def flat(self) -> bool:
@@ -180,10 +214,10 @@ def frame(normal: Array) -> tuple[Array, Array, Array]:
     return unit, first, second * (1.0 if second[np.argmax(np.abs(second))] > 0 else -1.0)
 
 
-def read_run(directory: Path) -> RunData:
-    """The run of a folder at the step to be shown. ResultsError: no results, or unreadable ones.
+def read_run(directory: Path, step: int | None = None) -> RunData:
+    """The run of a folder at a step. ResultsError: no results, unreadable ones, or no fields of this step.
 
-    That is the last step with fields; but if nothing touches any more in it, the one with fields and the
+    By default that is the last step with fields; but if nothing touches any more in it, the one with fields and the
     largest contact force.
     """
     directory = Path(directory)
@@ -194,6 +228,11 @@ def read_run(directory: Path) -> RunData:
     if not history and not fields:
         raise ResultsError(f"{directory} holds no step of a run yet: there is nothing to show")
     entry, scene = _shown(directory, history, fields, contacts), _scene(directory)
+    if step is not None:
+        entry = next((e for e in fields if e.step == step), None)
+        if entry is None:
+            known = named([str(e.step) for e in fields])
+            raise ResultsError(f'--step: found {step}; allowed: {known} (output.fields = "all" writes each step)')
     step = entry.step if entry else None
     contact_entry = next((e for e in contacts if e.step == step), contacts[-1] if contacts and not fields else None)
     return RunData(
@@ -203,6 +242,7 @@ def read_run(directory: Path) -> RunData:
         bodies=_read_bodies(directory, entry) if entry else None,
         contact=_read_contact(directory, contact_entry) if contact_entry else None,
         names=(_bodies(directory), [plane["name"] for plane in scene.get("planes", [])]),
+        scene=scene,
     )
 
 
@@ -243,9 +283,12 @@ def _read_bodies(directory: Path, entry: IndexEntry) -> Bodies | None:
     if piece is None:
         return None
     grid = piece.grid
+    names = ("stress", "strain", "electric_field", "electric_displacement")
+    in_cells = {name: getattr(piece, name) for name in names if getattr(piece, name) is not None}
     return Bodies(
-        grid.points, grid.cells, grid.cell_type, piece.displacement, piece.potential, piece.stress, piece.body
-    )
+        grid.points, grid.cells, grid.cell_type, piece.displacement, piece.potential, piece.stress, piece.body,
+        in_cells, piece.places, piece.place_names,
+    )  # fmt: skip
 
 
 def _read_contact(directory: Path, entry: IndexEntry) -> ContactData | None:
@@ -262,7 +305,7 @@ def prefixed(values: Sequence[float] | Array, unit: str) -> tuple[float, str]:
 
     `unit` may have a prefix, and a divisor that stays: "µN/µm" may become "nN/µm".
     """
-    match = re.fullmatch(r"(?P<prefix>[pnµmkMG]?)(?P<unit>N|Pa|V|C)(?P<rest>.*)", unit)
+    match = re.fullmatch(r"(?P<prefix>[afpnµmkMG]?)(?P<unit>N|Pa|V|C)(?P<rest>.*)", unit)
     finite = np.abs(np.asarray(values, float))
     largest = finite[np.isfinite(finite)].max(initial=0.0)
     if match is None or largest == 0:

@@ -11,11 +11,13 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.evaluation import center_expression
 from piezomat.forms.kinematics import deformation_gradient, push_forward
 from piezomat.forms.response import CenterResponse
 from piezomat.results.vtk import ContactPoints, FieldPiece, grid
+
+MOST_PLACES = 31  # bits of the files' integers
 
 
 class FieldOutput:
@@ -34,6 +36,7 @@ class FieldOutput:
         self._node[geometry] = nodes
         arguments = model.regions, model.materials, model.bodies.cell_body, model.kinematics, model.plane
         self._response = CenterResponse(model.trial_state, *arguments, model.potential_scale)
+        self._place_names, self._places = marked_places(model)
         self._gradient: Any = None
         if model.kinematics == "finite":
             gradient = ufl.grad(model.trial_state)
@@ -63,7 +66,23 @@ class FieldOutput:
             **(electric if model.electric else {}),
             strain=strain,
             body_names=tuple(model.bodies.bodies),
+            places=self._places[self._node],
+            place_names=self._place_names,
         )
+
+
+def marked_places(model: Model) -> tuple[tuple[str, ...], Integers]:
+    """Names of the boundaries and electrodes, the first 31, and a bit for each at this rank's nodes. Collective."""
+    unknowns = model.unknowns
+    nodes = [(name, unknowns.nodes_of(model.bodies.facets[name])) for name in model.constraints.groups]
+    nodes += [(e.electrode.name, e.nodes) for e in model.constraints.electrodes]
+    names = tuple(dict.fromkeys(name for name, _ in nodes))[:MOST_PLACES]
+    marks = np.zeros((unknowns.local, len(names)), bool)
+    for name, chosen in nodes:
+        if name in names:
+            marks[chosen, names.index(name)] = True
+    bits = fenicsx.sum_over_ranks(unknowns.space, marks @ 2.0 ** np.arange(len(names)))
+    return names, bits.astype(np.int64)
 
 
 def contact_points(contact: Interfaces, model: Model) -> ContactPoints:

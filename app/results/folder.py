@@ -25,7 +25,8 @@ MARK = ".piezomat"
 CHECKPOINT = "checkpoint"
 MESH, FIBERS = "mesh.msh", "fibers.csv"
 PIECES = {"fields": "vtu", "contact": "vtp"}
-_FILES = "scene.toml history.csv pairs.csv summary.json fields.pvd contact.pvd picture.png log.txt".split()
+_FILES = "scene.toml history.csv pairs.csv summary.json fields.pvd contact.pvd log.txt".split()
+_FILES += "picture.png picture.pdf picture.svg".split()
 # Names of a run's files in each of its folders.
 _NAMES = {
     "": re.compile("|".join(map(re.escape, _FILES))),

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from piezomat.forms.arrays import Array, Integers
 from piezomat.results.vtk import ContactPoints, FieldPiece, Grid, IndexEntry, ResultsError
 
-_FIELDS = ("displacement", "potential", "stress", "electric_field", "electric_displacement", "strain")
-_AT_POINTS = ("displacement", "potential")
+_FIELDS = ("displacement", "potential", "stress", "electric_field", "electric_displacement", "strain", "places")
+_AT_POINTS = ("displacement", "potential", "places")
 
 
 def joined_fields(parts: Sequence[FieldPiece]) -> FieldPiece | None:
@@ -33,7 +33,8 @@ def joined_fields(parts: Sequence[FieldPiece]) -> FieldPiece | None:
             whole = np.concatenate(found)
             values[name] = whole[node] if name in _AT_POINTS else whole
     grid = Grid(points[node], cells, parts[0].grid.cell_type)
-    return FieldPiece(grid=grid, body=body, body_names=parts[0].body_names, **values)
+    names = {"body_names": parts[0].body_names, "place_names": parts[0].place_names}
+    return FieldPiece(grid=grid, body=body, **names, **values)
 
 
 def joined_contact(parts: Sequence[ContactPoints]) -> ContactPoints | None:
@@ -69,7 +70,8 @@ def _field_piece(data: Any) -> FieldPiece:
         int(data.celltypes[0]),
     )
     values = {name: np.array(data[name]) for name in _FIELDS if name in data.array_names}
-    return FieldPiece(grid=grid, body=np.array(data["body"], np.int64), body_names=_texts(data, "body_names"), **values)
+    names = {name: _texts(data, name) for name in ("body_names", "place_names")}
+    return FieldPiece(grid=grid, body=np.array(data["body"], np.int64), **names, **values)
 
 
 def _contact_part(data: Any) -> ContactPoints:

@@ -135,7 +135,7 @@ def test_the_mesh_that_a_scene_reads_is_not_written(scene: Path, capsys: pytest.
 def test_a_picture_of_the_user_s_stays(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     put(Path("out"), "history.csv", "picture.png")
     assert cli.main(["view", "out"]) == 2
-    assert capsys.readouterr().err.startswith("out: found a picture.png that no run has drawn")
+    assert capsys.readouterr().err.startswith("out: found a picture that no run has drawn")
 
 
 # --- One run at a time -----------------------------------------------------------------------------

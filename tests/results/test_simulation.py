@@ -311,7 +311,7 @@ def test_fields(wanted: str, comm: MPI.Comm, shared_tmp_path: Path) -> None:
     cells = finished.model.mesh.topology.index_map(2).size_global
     assert sum(piece.n_cells for piece in pieces) == cells
     for piece in pieces:
-        assert set(piece.point_data) == {"displacement", "potential"}
+        assert set(piece.point_data) == {"displacement", "potential", "places"}
         in_cells = {
             "stress": 6,
             "von_mises": 1,
