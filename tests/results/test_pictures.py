@@ -20,6 +20,7 @@ from piezomat.pictures.picture import Choice, draw, view
 from piezomat.pictures.render import render, section
 from piezomat.pictures.surroundings import electrodes_of, planes_of, poling_of
 from piezomat.results.files import Results
+from piezomat.results.folder import MARK
 from piezomat.results.vtk import ContactPoints, FieldPiece, Grid, ResultsError
 
 RADIUS = 0.5
@@ -563,6 +564,7 @@ def test_many_pairs_are_a_map(tmp_path: Path) -> None:
 
 def test_the_command_draws_what_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(tmp_path)
+    (tmp_path / MARK).touch()
     assert cli.main(["view", str(tmp_path), "--panel", "curves", "zone", "--step", "8", "--format", "svg"]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "picture.svg")
     assert cli.main(["view", str(tmp_path), "--step", "3"]) == 2
