@@ -90,8 +90,9 @@ def render(
             for name, kind in (electrodes or {}).items():
                 rim = _rim(bodies, points, bodies.on_place(name))
                 if rim is not None:
-                    rim.points += 4e-3 * bodies.size * towards
-                    plotter.add_mesh(rim, color=COLOURS[kind], line_width=9, lighting=False)
+                    plotter.add_mesh(
+                        rim.translate(4e-3 * bodies.size * towards), color=COLOURS[kind], line_width=9, lighting=False
+                    )
             # a little nearer to the eye than the surfaces they lie on; in parallel projection nothing moves
             for mesh, colour, nearer in ((before, outline, 1e-3), (surface, "#303030", 2e-3)):
                 edges = mesh.extract_feature_edges(35.0, non_manifold_edges=False, manifold_edges=False)
