@@ -24,7 +24,7 @@ def examples() -> dict[str, str]:
 
 def test_each_kind_of_extension_has_an_example() -> None:
     headings = re.findall(r"^### (.*)$", (ROOT / "app/README.md").read_text().partition("## How to extend")[2], re.M)
-    assert headings == ["A material law", "An output", "A term", "A shape"]
+    assert headings == ["A material law", "A contact law", "An output", "A term", "A shape"]
     assert len(examples()) == len(headings)
 
 

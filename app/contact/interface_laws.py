@@ -7,9 +7,9 @@ from mpi4py import MPI
 
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.integrals import quadrature_points
+from piezomat.forms.contact.laws.catalogue import REVERSIBLE
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
 from piezomat.forms.contact.laws.interface import InterfaceLaw, stable_electric_range
-from piezomat.forms.contact.laws.lennard_jones import LennardJones
 from piezomat.forms.contact.laws.response import AdhesionLaw
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.scene.errors import SceneError
@@ -52,12 +52,13 @@ def adhesion_law(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> AdhesionL
     if keys.adhesion is None:
         return None
     adhesion, least = keys.adhesion, comm.allreduce(float(penalty.min(initial=np.inf)), op=MPI.MIN)
-    if adhesion.law == "lennard_jones":
+    if adhesion.law in REVERSIBLE:
+        law = REVERSIBLE[adhesion.law]
         try:
-            LennardJones.of(adhesion.strength, adhesion.energy, np.array([least]))
+            law(adhesion.strength, adhesion.energy, np.array([least]))
         except ValueError as error:
             raise SceneError("contact.adhesion.strength", str(error), "a law no stiffer than the penalty") from None
-        return LennardJones.of(adhesion.strength, adhesion.energy, penalty)
+        return law(adhesion.strength, adhesion.energy, penalty)
     longest, always = adhesion.strength / least, adhesion.starts == "always"
     energy = adhesion.energy
     if energy is None:
@@ -71,8 +72,8 @@ def adhesion_law(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> AdhesionL
     if energy <= spent:
         allowed = f"more than strength^2 / (2 normal_penalty) = {spent:g} pJ/um2, or a larger penalty"
         raise SceneError("contact.adhesion.energy", f"{energy:g}", allowed)
-    law = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[adhesion.law]
-    return law(adhesion.strength, energy, penalty, always)
+    cohesive = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[adhesion.law]
+    return cohesive(adhesion.strength, energy, penalty, always)
 
 
 def facet_sizes(facets: SlaveFacets) -> Array:

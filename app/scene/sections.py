@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
+from piezomat.forms.contact.laws.catalogue import REVERSIBLE
 from piezomat.scene.errors import SceneError, named, shown
 from piezomat.scene.keys import Capacitance, Count, Direction, Keys, Name, Positive
 from piezomat.scene.petsc_options import check_petsc_options
@@ -219,12 +220,12 @@ class Circuit(Keys):
 class Adhesion(Keys):
     """[contact.adhesion]: tension that the contact carries; absent: none."""
 
-    law: Literal["cutoff", "bilinear", "lennard_jones"] = Field(description="tension over the opening of the gap")
+    law: Literal["cutoff", "bilinear", *REVERSIBLE] = Field(description="tension over the opening of the gap")
     strength: Positive = Field(description="largest tension, MPa")
     energy: Positive | None = Field(None, description="work of separation, pJ/um2")
     range: Positive | None = Field(None, description="um, for law cutoff instead of energy")
     starts: Literal["touch", "always"] = Field(
-        default_factory=lambda given: "always" if given.get("law") == "lennard_jones" else "touch",
+        default_factory=lambda given: "always" if given.get("law") in REVERSIBLE else "touch",
         description='touch: sticks once pressed together; default "touch", and "always" for law lennard_jones',
     )
 
@@ -232,8 +233,8 @@ class Adhesion(Keys):
     def _one_work(self) -> Self:
         if self.law != "cutoff" and self.range is not None:
             raise SceneError("range", self.range, f'energy for law "{self.law}"; range belongs to law "cutoff"')
-        if self.law == "lennard_jones" and self.starts == "touch":
-            raise SceneError("starts", '"touch"', '"always": law "lennard_jones" attracts whatever comes near')
+        if self.law in REVERSIBLE and self.starts == "touch":
+            raise SceneError("starts", '"touch"', f'"always": law "{self.law}" attracts whatever comes near')
         if self.energy is None and self.range is None:
             allowed = "energy or range, a number > 0" if self.law == "cutoff" else "a number > 0"
             raise SceneError("energy", "nothing", allowed)
@@ -300,8 +301,8 @@ class Contact(Keys):
                 raise SceneError(key, f"both {key} and {key}_factor", f"either {key} or {key}_factor")
         if self.nodal_weight is not None and self.method != "node":
             raise SceneError("nodal_weight", shown(self.nodal_weight), 'nothing unless method = "node"')
-        if self.augment is not None and self.adhesion is not None and self.adhesion.law == "lennard_jones":
-            raise SceneError("augment", self.augment, 'nothing with law "lennard_jones"')
+        if self.augment is not None and self.adhesion is not None and self.adhesion.law in REVERSIBLE:
+            raise SceneError("augment", self.augment, f'nothing with law "{self.adhesion.law}"')
         if self.self_contact and self.pairs != "auto":
             raise SceneError("self_contact", "true", 'false, or pairs = "auto"')
         if self.pairs == []:

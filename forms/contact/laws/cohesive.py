@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array, Booleans
-from piezomat.forms.contact.laws.response import History, Response, smooth_step
+from piezomat.forms.contact.laws.response import AdhesionLaw, History, Response, smooth_step
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that its slope is finite
 ELECTRIC_RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
@@ -16,7 +16,7 @@ LOADING_TOLERANCE = 1e-10  # of the final opening: a point this near to its larg
 
 
 @dataclass(frozen=True)
-class CohesiveLaw:
+class CohesiveLaw(AdhesionLaw):
     """Traction over opening: linear to the strength, constant to `plateau`, linear to zero at `final`; irreversible.
 
     strength MPa; penalty (m,) MPa/um, the elastic stiffness; plateau, final (m,) um; always: bonded from the start.
@@ -28,9 +28,7 @@ class CohesiveLaw:
     penalty: Array
     plateau: Array
     final: Array
-    always: bool
-
-    equilibrium_gap = 0.0  # gap without traction, um
+    always: bool = False
 
     @classmethod
     def bilinear(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> CohesiveLaw:

@@ -14,8 +14,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array, Booleans
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.arrays import Array
+from piezomat.forms.contact.laws.response import AdhesionLaw, History, Response
 
 CUTOFF_START = 5.0  # gap, in r0, from which the traction (0.5 % of the peak) goes to zero
 EQUILIBRIUM = 15.0 ** (-1 / 6)  # gap without traction, in r0
@@ -24,7 +24,7 @@ NEWTON_ITERATIONS = 60  # from above, on a convex function
 
 
 @dataclass(frozen=True)
-class LennardJones:
+class LennardJones(AdhesionLaw):
     """Reversible law between surfaces of given strength and energy: without history and without dissipation.
 
     scale MPa, A/(2 pi r0^3); distance um, r0; penalty (m,) MPa/um, in effect below the gap `near` (m,), um.
@@ -34,8 +34,6 @@ class LennardJones:
     distance: float
     penalty: Array
     near: Array
-
-    always = True  # surfaces attract each other before they have touched
 
     @classmethod
     def of(cls, strength: float, energy: float, penalty: Array) -> LennardJones:
@@ -78,22 +76,6 @@ class LennardJones:
         """Largest rate (m,) at which the traction falls with the gap, MPa/um: that at (r0/g)^6 = 2."""
         steepest = -_unit(np.array([2.0 ** (-1 / 6)]))[1][0]
         return np.full_like(self.penalty, steepest * self.scale / self.distance)
-
-    def bonded(self, history: History) -> Booleans:
-        """No point (m,): the attraction is reversible."""
-        return np.zeros(len(history.touched), bool)
-
-    def touching(self, gap: Array) -> Booleans:
-        """No point (m,): the law has no history."""
-        return np.zeros(len(gap), bool)
-
-    def on_loss_of_contact(self, history: History) -> History:
-        """The same history."""
-        return history
-
-    def electric_share(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
-        """Share (m,) of the electric contact that bonds maintain, with its derivatives: zero."""
-        return (np.zeros_like(gap),) * 3
 
     def contribute(self, gap: Array, history: History, response: Response) -> None:
         """Replace the penalty's slope, curvature and energies by the law's own.

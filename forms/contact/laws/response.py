@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -66,40 +67,50 @@ class Response:
 
 
 class AdhesionLaw(Protocol):
-    """Adhesion as `InterfaceLaw` uses it: a traction over the gap, added to the penalty against penetration."""
+    """Adhesion as `InterfaceLaw` uses it: a traction over the gap, added to the penalty against penetration.
+
+    A subclass has `interaction_range`, `steepness`, rows and `contribute` at least: it is then a law without history.
+
+    always: whether surfaces attract each other before they have touched
+    equilibrium_gap: gap without traction, um
+    """
+
+    always: bool = True
+    equilibrium_gap: float = 0.0
 
     @property
-    def always(self) -> bool:
-        """Whether surfaces attract each other before they have touched."""
-
-    @property
-    def equilibrium_gap(self) -> float:
-        """Gap without traction, um."""
-
-    @property
+    @abstractmethod
     def interaction_range(self) -> float:
         """Largest gap of any point with a traction, um."""
 
     @property
+    @abstractmethod
     def steepness(self) -> Array:
         """Largest rate (m,) at which the traction falls with the gap, MPa/um."""
 
-    def __getitem__(self, rows: NDArray) -> AdhesionLaw: ...
+    @abstractmethod
+    def __getitem__(self, rows: NDArray) -> AdhesionLaw:
+        """The law of some points."""
+
+    @abstractmethod
+    def contribute(self, gap: Array, history: History, response: Response) -> None:
+        """Change slope, curvature and energies of a response that holds the penalty's."""
 
     def bonded(self, history: History) -> Booleans:
-        """Whether points (m,) are bonded."""
+        """Whether points (m,) are bonded: none of a law without history, whose attraction is reversible."""
+        return np.zeros(len(history.touched), bool)
 
     def touching(self, gap: Array) -> Booleans:
-        """Whether points touch at these gaps (m,), which the history then records."""
+        """Whether points touch at these gaps (m,), which the history then records: none without history."""
+        return np.zeros(len(gap), bool)
 
     def on_loss_of_contact(self, history: History) -> History:
         """History of points whose closest point on the other surface no longer exists."""
+        return history
 
     def electric_share(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
         """Share (m,) of the electric contact that bonds maintain, with its first and second derivative by the gap."""
-
-    def contribute(self, gap: Array, history: History, response: Response) -> None:
-        """Change slope, curvature and energies of a response that holds the penalty's."""
+        return (np.zeros_like(gap),) * 3
 
 
 def smooth_step(x: Array) -> tuple[Array, Array, Array]:
