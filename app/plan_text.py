@@ -6,10 +6,11 @@ import numpy as np
 from mpi4py import MPI
 
 from piezomat.contact.cohesive_zone import coarse_cohesive_zone
-from piezomat.contact.interface_laws import FADE
+from piezomat.contact.interface_laws import FADE, gap_medium
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.scene.errors import named
 from piezomat.scene.scene import Scene
 from piezomat.scene.sections import Contact, Load, Solver
@@ -107,9 +108,8 @@ def _contact(keys: Contact | None, model: Model, contact: Interfaces | None) -> 
         "segment": "on slave facets cut along master edges",
     }[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
-    both = (
-        "gap and equal potential" if any(p.law.electric_penalty is not None for p in contact.surface_pairs) else "gap"
-    )
+    laws = [p.law.electric for p in contact.surface_pairs]
+    both = "gap and equal potential" if any(isinstance(law, EqualPotential) for law in laws) else "gap"
     listed = list(contact.pairs.listed.values())
     what = f"{len(listed)} pairs ({named(listed)})" if listed else "any two bodies that come near each other"
     curved = ", facets curved with a continuous normal" if keys.smoothing else ""
@@ -119,17 +119,24 @@ def _contact(keys: Contact | None, model: Model, contact: Interfaces | None) -> 
 
 
 def _electric(keys: Contact | None, model: Model, contact: Interfaces | None) -> list[tuple[str, str]]:
-    fades = [p.law.fade for p in contact.point_sets if p.law.fade is not None] if contact is not None else []
+    medium = gap_medium(model) if contact is not None else None
+    if medium is not None:
+        what = "air" if keys is None or keys.medium == "air" else f"a medium of {medium.permittivity:g} pC/(V um)"
+        reach = f"open gaps up to {medium.reach:.3g} um pass charges"
+        text = f"{reach}, filled with {what}; a closed one counts as {1e3 * medium.closed_gap:.2g} nm of it"
+        return [("gaps", text)]
+    laws = [p.law.electric for p in contact.point_sets] if contact is not None else []
+    fades = [law.fade for law in laws if isinstance(law, EqualPotential)]
     if not model.comm.allreduce(len(fades)):
         return []
     voltage = model.prescription.largest_voltage()
     if keys is not None and keys.electric_range is not None:
-        text = f"fades out over a gap of {keys.electric_range:g} um, given by the scene"
+        text = f"switched off over a gap of {keys.electric_range:g} um, given by the scene"
     else:
         least = model.comm.allreduce(min(float(f.min(initial=np.inf)) for f in fades), op=MPI.MIN)
         why = f", or what keeps surfaces {voltage:g} V apart from pulling each other in" if voltage else ""
-        text = f"fades out over a gap of {least:.2g} um or more: {FADE:g} facets{why}"
-    return [("electric contact", text)]
+        text = f"switched off over a gap of {least:.2g} um or more: {FADE:g} facets{why}"
+    return [("electric contact", f"{text}; half of it before surfaces touch")]
 
 
 def _rigid(scene: Scene) -> list[tuple[str, str]]:

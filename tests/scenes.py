@@ -19,7 +19,7 @@ def press(geometry: dict[str, Any], **sections: Any) -> Scene:
 
 
 def pressed(dimension: int, **changes: Any) -> Scene:
-    """Two half fibers, the upper one without an electrode, pressed together in two steps."""
+    """Two half fibers, the upper one without an electrode, pressed together in two steps; without a medium."""
     sideways = [0.0] * (dimension - 1)
     keys = {
         "geometry": {"shape": "facing_halves" if dimension == 2 else "crossed_fibers"},
@@ -29,11 +29,10 @@ def pressed(dimension: int, **changes: Any) -> Scene:
             {"on": "bottom", "displacement": [*sideways, 0], "potential": 0},
             {"on": "top", "displacement": [*sideways, -0.04], "follows": "press"},
         ],
-        "contact": {},
         "load": {"steps": [2], "factors": {"press": [1.0]}},
         "solver": {"tolerance": 1e-11},
     }
-    return Scene(**{**keys, **changes})
+    return Scene(**{**keys, **changes, "contact": {"medium": "none", **changes.get("contact", {})}})
 
 
 def blocks(**changes: Any) -> Scene:
@@ -67,7 +66,10 @@ def facing_halves(penalty: float, steps: int = 5, **contact: Any) -> Scene:
 
 
 def strongly_coupled(voltage: float, size: float = 0.02, **contact: Any) -> Scene:
-    """Half discs of PZT-5H between electrodes that a traction presses together: nothing but contact holds the upper."""
+    """Half discs of PZT-5H between electrodes that a traction presses together: nothing but contact holds the upper.
+
+    Without a medium, unless `contact` names one.
+    """
     return Scene(
         geometry={"shape": "facing_halves"},
         mesh={"size": 0.12, "contact_size": size, "size_factors": {"upper": 0.9}},
@@ -82,7 +84,7 @@ def strongly_coupled(voltage: float, size: float = 0.02, **contact: Any) -> Scen
                 "follows": "press",
             },
         ],
-        contact=contact,
+        contact={"medium": "none", **contact},
         load={"steps": [4], "factors": {"press": [1]}},
         output={"fields": "none", "picture": False},
     )

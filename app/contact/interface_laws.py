@@ -2,38 +2,102 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from mpi4py import MPI
 
+from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.integrals import quadrature_points
 from piezomat.forms.contact.laws.catalogue import REVERSIBLE
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
-from piezomat.forms.contact.laws.interface import InterfaceLaw, stable_electric_range
+from piezomat.forms.contact.laws.equal_potential import EqualPotential, stable_electric_range
+from piezomat.forms.contact.laws.medium import AIR, Medium, closed_gap, stable_switch
 from piezomat.forms.contact.laws.response import AdhesionLaw
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Contact as ContactKeys
 
-# Default gap over which the electric contact fades out, in facet sizes. Measured on facing_halves and crossed_fibers:
-# it lowers the voltage by 3 % in 2D and 13 % in 3D, less as facets shrink; 0.01 lowers it by 1 and 2 %, but attraction
-# is then so steep that there are several equilibria, and with stiff penalties Newton's method takes twice as long.
+# Default gap over which the penalty for equal potentials is switched off, in facet sizes. Measured on facing_halves and
+# crossed_fibers: 0.01 is nearer to the limit, but attraction is then so steep that there are several equilibria, and
+# with stiff penalties Newton's method takes twice as long.
 FADE = 0.1
+# Gap, in facet sizes, up to which the medium is integrated with the points of contact at their present closest points.
+NEAR = 0.1
 
 
-def interface_law(
-    keys: ContactKeys, voltage: float, size: Array, stiffness: Array, permittivity: Array | None
-) -> InterfaceLaw:
-    """The law without adhesion at points with these facet sizes (m,), stiffnesses (m,) and permittivities (m,).
+@dataclass(frozen=True)
+class GapMedium:
+    """The medium in the gaps of a model.
 
-    voltage: largest difference of prescribed potentials, V. There is no electric contact without `permittivity`,
-    nor with an electric penalty of zero.
+    permittivity: pC/(V um); closed_gap, reach: um; pulls: see `Medium`
+    voltage: largest difference of prescribed potentials, V; thickness: of the bodies, um
     """
-    penalty = np.full(len(size), keys.normal_penalty or 0.0)
-    if keys.normal_penalty is None:
-        penalty = keys.normal_penalty_factor * stiffness / size
-    if permittivity is None or keys.electric_penalty == 0.0:
-        return InterfaceLaw(penalty)
+
+    permittivity: float
+    closed_gap: float
+    reach: float
+    pulls: bool
+    voltage: float
+    thickness: float
+
+    def laws(self, size: Array, stiffness: Array, permittivity: Array) -> tuple[Medium, Medium, Medium]:
+        """The law of points with these facet sizes, stiffnesses and permittivities (m,), and its near part and rest.
+
+        No charge passes where a permittivity is zero.
+        """
+        switch = stable_switch(self.voltage, permittivity, stiffness, self.thickness, size, self.permittivity)
+        here = np.where(permittivity > 0.0, self.permittivity, 0.0)
+        whole = Medium(here, self.closed_gap, self.reach, pulls=self.pulls, switch=switch)
+        near = np.maximum(NEAR * size, 2.0 * switch)
+        return whole, replace(whole, near=near), replace(whole, near=near, rest=True)
+
+
+def gap_medium(model: Model) -> GapMedium | None:
+    """The medium in the gaps of a model; None where it has no potential, or no medium.
+
+    Potentials that strain causes do not pull on bodies that contact alone holds: the force is a thousandth of those of
+    contact, but Newton's method follows each free fiber that it moves (a mat: 39 iterations of a step instead of 14).
+    """
+    keys = model.scene.contact or ContactKeys()
+    if not model.electric or keys.medium == "none":
+        return None
+    permittivity = AIR if keys.medium == "air" else keys.medium
+    thickness, voltage = model.parts.thickness, model.prescription.largest_voltage()
+    gap, reach = keys.medium_gap, keys.medium_range
+    if gap is None:
+        members = [(part, model.materials[b]) for part, some in enumerate(model.bodies.part_bodies) for b in some]
+        capacitances = [m.mean_permittivity / thickness[part] for part, m in members if m.electric and not m.conductor]
+        gap = closed_gap(permittivity, max(capacitances, default=0.0))
+    least = float(thickness.min())
+    if reach is None:
+        reach = getattr(model.scene.geometry, "radius", 0.5 * least)
+    pulls = not model.has_unconstrained_bodies or voltage > 0.0
+    return GapMedium(permittivity, gap, reach, pulls, voltage, least)
+
+
+def normal_penalty(keys: ContactKeys, size: Array, stiffness: Array) -> Array:
+    """Penalty (m,), MPa/um, of points with these facet sizes (m,) and stiffnesses (m,)."""
+    if keys.normal_penalty is not None:
+        return np.full(len(size), keys.normal_penalty)
+    return keys.normal_penalty_factor * stiffness / size
+
+
+def equal_potential(
+    keys: ContactKeys,
+    voltage: float,
+    size: Array,
+    stiffness: Array,
+    permittivity: Array,
+    adhesion: AdhesionLaw | None = None,
+) -> EqualPotential | None:
+    """The law without a medium, of points with these facet sizes, stiffnesses, permittivities (m,) and adhesion.
+
+    voltage: largest difference of prescribed potentials, V. None with an electric penalty of zero.
+    """
+    if keys.electric_penalty == 0.0:
+        return None
     electric = np.where(permittivity > 0.0, keys.electric_penalty or 0.0, 0.0)
     if keys.electric_penalty is None:
         electric = keys.electric_penalty_factor * permittivity / size
@@ -41,7 +105,9 @@ def interface_law(
         fade = np.full(len(size), keys.electric_range)
     else:
         fade = np.maximum(FADE * size, stable_electric_range(voltage, permittivity, stiffness))
-    return InterfaceLaw(penalty, None, electric, fade)
+    # The range that keeps surfaces at a voltage apart from pulling each other in was measured beyond touch.
+    beyond = (voltage > 0.0 and keys.electric_range is None) or isinstance(adhesion, CohesiveLaw)
+    return EqualPotential(electric, fade, 0.0 if beyond else -0.5)
 
 
 def adhesion_law(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> AdhesionLaw | None:

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.contact.contact_points import ContactPoints, Snapshot
+from piezomat.contact.gap_exchange import AHEAD
 from piezomat.contact.nodal_state import COMPLETE, EvaluationMode, NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.rigid_plane import RigidPlane
@@ -47,7 +48,7 @@ class Interfaces(Term):
     adhesive: whether there is adhesion
     augmented: whether the multipliers belong to the history
     largest_penalty: MPa/um
-    interaction_range: largest gap with a traction or a charge, um
+    interaction_range: largest gap at which the points of surface pairs have a traction or a charge, um
     evaluation_failed: whether facets had collapsed at the last evaluation, on any rank
     viscous_regularization: whether bonds resist their opening
     last_penetration: deepest penetration at the end of the last converged step, um
@@ -85,7 +86,9 @@ class Interfaces(Term):
         self.adhesive = any(p.law.adhesion is not None for p in self.surface_pairs)
         penalties = (float(p.law.penalty.max(initial=0.0)) for p in self.point_sets)
         self.largest_penalty = comm.allreduce(max(penalties), op=MPI.MAX)
-        self.interaction_range = comm.allreduce(max(p.law.interaction_range for p in self.point_sets), op=MPI.MAX)
+        # Planes know all their points: their closest points are not searched for.
+        ranges = [p.law.interaction_range for p in self.surface_pairs]
+        self.interaction_range = comm.allreduce(max(ranges, default=0.0), op=MPI.MAX)
         sizes = [np.log(p.facet_size) for p in self.point_sets]
         total = parallel.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
         mean_size = float(np.exp(total[0] / total[1]))
@@ -115,7 +118,8 @@ class Interfaces(Term):
         masters = []
         for p in self.surface_pairs:
             slave, master = (position[own.places(facets.nodes)] for facets in (p.slave, p.master))
-            masters.append(share_facets(self.comm, slave, p.slave.component, p.master, master, search_radius, p.rule))
+            margin = max(search_radius, p.search_range)
+            masters.append(share_facets(self.comm, slave, p.slave.component, p.master, master, margin, p.rule))
         needed = [
             facets.nodes for p, seen in zip(self.surface_pairs, masters, strict=True) for facets in (p.slave, seen)
         ]
@@ -128,9 +132,10 @@ class Interfaces(Term):
         # Facets that come nearer than this in a step are cut when it has ended.
         cut_distance = self.interaction_range + 0.5 * self._search.mean_facet_size + 4.0 * self.last_penetration
         for p, seen in zip(self.surface_pairs, masters, strict=True):
-            p.detect(seen, self.nodes, position, geodesic, search_radius, cut_distance)
+            given = search_radius, cut_distance, 2.0 * self.last_penetration
+            p.detect(seen, self.nodes, position, geodesic, *given)
         for plane in self.planes:
-            plane.detect(self.nodes, position, search_radius)
+            plane.detect(self.nodes, position, max(search_radius, AHEAD * plane.law.interaction_range))
         self._search.restart(displacement, search_radius)
 
     @property
@@ -185,8 +190,9 @@ class Interfaces(Term):
 
         What is further off than half a facet and than `set_candidate_distance` says is not found.
         """
-        within = self.interaction_range + distance
-        return self.nodes.number[np.concatenate([p.facet_pairs_within(within) for p in self.point_sets])]
+        pairs = [p.facet_pairs_within(self.interaction_range + distance) for p in self.surface_pairs]
+        planes = [p.facet_pairs_within(max(distance, AHEAD * p.law.interaction_range)) for p in self.planes]
+        return self.nodes.number[np.concatenate([*pairs, *planes])]
 
     # --- Evaluation ---
 

@@ -138,7 +138,7 @@ class RigidPlane(ContactPoints):
             self.surface_potential = at.scale * np.einsum(
                 "mk,mk->m", shape, spread(kind, at.potentials[nodes], offsets)
             )
-            if self.potential is not None and self.law.electric_penalty is not None:
+            if self.potential is not None and self.law.electric is not None:
                 self.jump = self.surface_potential - self.potential
         shift = self._shift(facet, self.points.xi[rows])
         self.gap = gap + shift[0]

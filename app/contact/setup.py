@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from piezomat.contact.interface_laws import adhesion_law, facet_sizes, interface_law
+from piezomat.contact.gap_exchange import GapExchange
+from piezomat.contact.interface_laws import (
+    adhesion_law,
+    equal_potential,
+    facet_sizes,
+    gap_medium,
+    normal_penalty,
+)
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.rigid_plane import RigidPlane
@@ -20,6 +27,8 @@ from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
+from piezomat.forms.contact.laws.electric import ElectricLaw
+from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
@@ -198,7 +207,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
     low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
     high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
-    voltage = model.prescription.largest_voltage()
+    voltage, medium = model.prescription.largest_voltage(), gap_medium(model)
     electrodes = model.constraints.electrodes
     nodes = {name: model.unknowns.reference_node(e.reference) for e in electrodes for name in e.planes}
     pushed = {p.plane.name: p for p in model.constraints.pushed}
@@ -206,8 +215,11 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]), model.unknowns.origin)
         is_electrode = plane.potential is not None or plane.name in nodes
-        electric = permittivity if is_electrode else None
-        law = interface_law(keys, voltage, size, stiffness, electric)
+        electric: ElectricLaw | None = None
+        if is_electrode and medium is not None:
+            electric, _, _ = medium.laws(size, stiffness, permittivity)
+        elif is_electrode:
+            electric = equal_potential(keys, voltage, size, stiffness, permittivity)
         push = pushed.get(plane.name)
         found.append(
             RigidPlane(
@@ -220,7 +232,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
                 direction=None if push is None else push.direction,
                 slave=outside,
                 points=points,
-                law=law,
+                law=InterfaceLaw(normal_penalty(keys, size, stiffness), None, electric),
                 facet_size=size,
             )
         )
@@ -295,13 +307,29 @@ def _pass(
     shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
     slaves = slaves.redistributed(comm, rank)
     points = _points(keys, slaves, shared)
-    size = facet_sizes(slaves)[points.facet]
+    sizes = facet_sizes(slaves)
+    size = sizes[points.facet]
     materials = [model.materials[i] for i in slave_bodies | master_bodies]
-    stiffness = np.full(len(size), min(m.mean_stiffness for m in materials))
-    permittivity = np.full(len(size), min(m.mean_permittivity for m in materials))
+    softest = min(m.mean_stiffness for m in materials)
+    least_permittivity = min(m.mean_permittivity for m in materials)
+    stiffness, permittivity = (np.full(len(size), least) for least in (softest, least_permittivity))
+    penalty = normal_penalty(keys, size, stiffness)
+    adhesion = adhesion_law(comm, keys, penalty)
+    self_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
+    rest_gap = adhesion.equilibrium_gap if adhesion is not None else 0.0
+    electric: ElectricLaw | None = None
+    exchange = None
     # Where one of the bodies has no permittivity, no charge passes.
-    electric = permittivity if all(m.electric for m in materials) else None
-    law = interface_law(keys, model.prescription.largest_voltage(), size, stiffness, electric)
+    if all(m.electric for m in materials):
+        medium = gap_medium(model)
+        if medium is None:
+            voltage = model.prescription.largest_voltage()
+            electric = equal_potential(keys, voltage, size, stiffness, permittivity, adhesion)
+        else:
+            _, electric, _ = medium.laws(size, stiffness, permittivity)
+            of_facets = (np.full(len(sizes), least) for least in (softest, least_permittivity))
+            _, _, rest = medium.laws(sizes, *of_facets)
+            exchange = GapExchange(slaves, rest, sizes, 1.0 / keys.passes, rest_gap)
     return SurfacePair(
         pair=number,
         slave=slaves,
@@ -309,13 +337,14 @@ def _pass(
         master_bodies=frozenset(master_bodies),
         rule=rule,
         points=points,
-        law=replace(law, adhesion=adhesion_law(comm, keys, law.penalty)),
+        law=InterfaceLaw(penalty, adhesion, electric),
         facet_size=size,
         share=1.0 / keys.passes,
         first=first,
         depth=depth,
-        self_depth=0.5 * float(thickness.min()) if thickness is not None else depth,
+        self_depth=self_depth,
         segments=keys.method == "segment",
+        exchange=exchange,
     )
 
 

@@ -12,6 +12,7 @@ from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.constraints import load_factor
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Booleans, Integers
+from piezomat.forms.contact.laws.medium import Medium
 from piezomat.scene.errors import SceneError, shown
 
 # Potentials that differ by less than this share of the largest voltage are equal.
@@ -59,7 +60,7 @@ def short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) 
 
 def _possible(model: Model, contact: Interfaces) -> bool:
     """Whether there are two electrodes, and a contact that passes charges."""
-    some = any(p.law.electric_penalty is not None for p in contact.point_sets)
+    some = any(p.law.electric is not None for p in contact.point_sets)
     return model.electric and some and len(model.scene.potentials) > 1
 
 
@@ -128,7 +129,10 @@ def _meeting(model: Model, contact: Interfaces, electrode: Integers, least: floa
     for p in contact.point_sets:
         if p.jump is None or p.response is None:
             continue
-        live = np.flatnonzero((np.abs(p.jump) > least) & (p.response.charge != 0.0))
+        met = p.response.charge != 0.0
+        if isinstance(p.law.electric, Medium):  # which makes a capacitor of an open gap
+            met &= p.gap <= p.law.equilibrium_gap
+        live = np.flatnonzero((np.abs(p.jump) > least) & met)
         ours = electrode[p.slave_nodes[p.points.facet[p.projected_points[live]]]]
         if isinstance(p, RigidPlane):
             theirs = np.full_like(ours, of_plane[p.name])

@@ -9,6 +9,7 @@ import numpy as np
 from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, ClosestPoints, SearchLimits
 from piezomat.contact.contact_points import ContactPoints
 from piezomat.contact.detected_facets import DetectedFacets
+from piezomat.contact.gap_exchange import GapExchange
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.seen_nodes import SeenNodes
@@ -54,6 +55,7 @@ class SurfacePair(ContactPoints):
     depth: penetration (um) beyond which a point has come from the far side of a body and meets nothing
     self_depth: the same in its own part, which is thinner than it seems if it is bent
     segments: whether slave facets are cut into segments
+    exchange: charges across open gaps, which the points leave out; None without a medium
 
     Valid after a detection:
     covered (m,): points that can meet something; pieces of a facet that no master facet covers cannot
@@ -72,6 +74,7 @@ class SurfacePair(ContactPoints):
     depth: float
     self_depth: float
     segments: bool = False
+    exchange: GapExchange | None = None
     covered: Booleans = field(init=False)
     facets: DetectedFacets = field(init=False)
     closest: ClosestPoints = field(init=False)
@@ -99,11 +102,12 @@ class SurfacePair(ContactPoints):
         geodesic: Array | None,
         radius: float,
         cut_distance: float,
+        penetration: float,
     ) -> None:
         """Start with the master facets that come near, at these positions (n, d) of the seen nodes.
 
         geodesic (n,): distances of the nodes along their part, with self-contact. radius: search radius, um. Segments
-        are cut along the master facets that come nearer than cut_distance, um.
+        are cut along the master facets that come nearer than cut_distance, um. penetration: that is accepted, um.
         """
         self.facets = DetectedFacets.of(self.slave, masters, self.rule, nodes, geodesic)
         self.slave_nodes = self.facets.slave_nodes
@@ -112,6 +116,13 @@ class SurfacePair(ContactPoints):
         depth = self.depth, self.self_depth
         self.closest = ClosestPoints(self.facets, self.points, self.covered, depth, position, radius)
         self.near_points = self.closest.near
+        if self.exchange is not None:
+            self.exchange.detect(self.facets, position, penetration)
+
+    @property
+    def search_range(self) -> float:
+        """Gap, um, up to which master facets must be seen whatever moves."""
+        return self.exchange.search_range if self.exchange is not None else 0.0
 
     def update_projections(self, position: Array, limits: SearchLimits) -> None:
         """Find the closest points with the seen nodes at `position` (n, d). LinAlgError: facets have collapsed."""
@@ -200,7 +211,7 @@ class SurfacePair(ContactPoints):
         kind, rows, master = self.slave.kind, self.projected_points, self.master_facet
         facet, xi, shape = self.points.facet[rows], self.points.xi[rows], self.points.shape[rows]
         self.jump = None
-        if at.potentials is not None and self.law.electric_penalty is not None:
+        if at.potentials is not None and self.law.electric is not None:
             here, there = self.facets.potentials_at(at.potentials, facet, master)
             jump = np.einsum("mk,mk->m", shape, here)
             self.jump = at.scale * (jump - np.einsum("mk,mk->m", kind.shape(self.projection.xi), there))
@@ -235,7 +246,10 @@ class SurfacePair(ContactPoints):
         self.force = np.zeros((len(rows), d))
         self.force[active] = -vectors[:, : vectors.shape[1] // 2, :d].sum(axis=1)
         pair = facet * max(len(self.facets.master), 1) + master
-        return ContactTerms.summed(pair, self.facets.nodes_of(facet, master), vectors, matrices)
+        terms = ContactTerms.summed(pair, self.facets.nodes_of(facet, master), vectors, matrices)
+        if self.exchange is None:
+            return terms
+        return ContactTerms.joined([terms, self.exchange.evaluate(at, tangent=tangent)])
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """First-order changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
@@ -253,7 +267,15 @@ class SurfacePair(ContactPoints):
         near = self._near_contact(distance)
         facet, master = self.points.facet[self.projected_points[near]], self.master_facet[near]
         pairs = np.unique(np.stack([facet, master], axis=1), axis=0)
-        return self.facets.nodes_of(pairs[:, 0], pairs[:, 1])
+        nodes = self.facets.nodes_of(pairs[:, 0], pairs[:, 1])
+        return nodes if self.exchange is None else np.concatenate([nodes, self.exchange.nodes()])
+
+    def energies(self) -> Array:
+        """Contact, adhesion, electric and dissipated energy (4,), see `ContactPoints.energies`."""
+        sums = super().energies()
+        if self.exchange is not None:
+            sums[2] += self.exchange.energy()
+        return sums
 
     # --- Bodies and pairs ---
 
@@ -279,6 +301,13 @@ class SurfacePair(ContactPoints):
         Of a body and itself the first is the one with the smaller geodesic distance.
         """
         return self._pairs_of_facets(pairs, self.points.facet[self.projected_points], self.master_facet)
+
+    def forces_across(self, pairs: Pairs) -> tuple[Integers, Array]:
+        """Pairs (m,) of the points that exchange charges across open gaps, and their forces (m, d) on the first, uN."""
+        if self.exchange is None:
+            return np.zeros(0, np.int64), np.zeros_like(self.force[:0])
+        number, first = self._pairs_of_facets(pairs, *self.exchange.facet_pairs())
+        return number, np.where(first, 1.0, -1.0)[:, None] * self.exchange.force
 
     def _pairs_of_facets(self, pairs: Pairs, facet: Integers, master_facet: Integers) -> tuple[Integers, Booleans]:
         """The same of slave and master facets (r,)."""

@@ -85,6 +85,10 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
             *total, touching, sticking = sums[of].sum(axis=0)
             points = PairTotals(np.array(total), touching, sticking, *largest[of].max(axis=0))
             mine[int(pair)] = mine.get(int(pair), none) + points
+        number, force = p.forces_across(contact.pairs)
+        for pair in np.unique(number[force.any(axis=1)]):
+            across = replace(none, force=force[number == pair].sum(axis=0))
+            mine[int(pair)] = mine.get(int(pair), none) + across
     for nodes in contact.penetrating_nodes():
         for pair in np.unique(nodes.pair):
             deepest = float(nodes.depth[nodes.pair == pair].max())

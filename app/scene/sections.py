@@ -248,6 +248,15 @@ def _factor(penalty: str, default: float) -> Any:
     return lambda given: default if given.get(penalty) is None else None
 
 
+# Keys of [contact] that have a meaning without a medium alone.
+EQUAL_POTENTIAL = ("electric_penalty", "electric_penalty_factor", "electric_range")
+
+
+def _electric_factor(given: dict[str, Any]) -> float | None:
+    """Default of electric_penalty_factor."""
+    return 10.0 if given.get("medium") == "none" and given.get("electric_penalty") is None else None
+
+
 class Contact(Keys):
     """[contact]: which surfaces meet and how that is integrated; absent: none."""
 
@@ -268,13 +277,6 @@ class Contact(Keys):
         default_factory=_factor("normal_penalty", 10.0),
         description="times stiffness / facet size; default 10 without normal_penalty",
     )
-    electric_penalty: Annotated[float, Field(ge=0)] | None = Field(
-        None, description="pC/(V um2); 0: surfaces in contact are insulated from each other"
-    )
-    electric_penalty_factor: Positive | None = Field(
-        default_factory=_factor("electric_penalty", 10.0),
-        description="times permittivity / facet size; default 10 without electric_penalty",
-    )
     augment: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None,
         description="gap (in facet sizes) and potential jump (in the potential's range) that augmentation may leave; "
@@ -289,16 +291,53 @@ class Contact(Keys):
         default_factory=lambda given: "area" if given.get("method") == "node" else None,
         description="method node only; unit: one spring per node with no area; default area",
     )
+    medium: Literal["air", "none"] | Positive = Field(
+        "air",
+        description='in open gaps, where bodies have a permittivity: "air", a permittivity in pC/(V um), or "none": '
+        "potentials are equal where surfaces touch, and no charge passes an open gap; that is the default beside one "
+        "of its keys",
+    )
+    medium_gap: Positive | None = Field(
+        None, description="um; gap at which the capacitance of the medium levels off; absent: chosen, see plan"
+    )
+    medium_range: Positive | None = Field(
+        None, description="um; gap up to which surfaces exchange charges; absent: a radius, see plan"
+    )
+    electric_penalty: Annotated[float, Field(ge=0)] | None = Field(
+        None, description='medium "none": pC/(V um2); 0: surfaces in contact are insulated from each other'
+    )
+    electric_penalty_factor: Positive | None = Field(
+        default_factory=_electric_factor,
+        description='medium "none": times permittivity / facet size; default 10 without electric_penalty',
+    )
     electric_range: Positive | None = Field(
-        None, description="gap over which the electric contact fades out, um; absent: chosen, see plan"
+        None,
+        description='medium "none": gap over which the electric contact is switched off, half of it before touch, um; '
+        "absent: chosen, see plan",
     )
     adhesion: Adhesion | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_medium(cls, data: Any) -> Any:
+        """Keys of the law without a medium ask for it."""
+        asks = isinstance(data, dict) and "medium" not in data
+        if asks and (data.get("nodal_weight") == "unit" or any(data.get(key) is not None for key in EQUAL_POTENTIAL)):
+            return {**data, "medium": "none"}
+        return data
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for key in ("normal_penalty", "electric_penalty"):
             if getattr(self, key) is not None and getattr(self, f"{key}_factor") is not None:
                 raise SceneError(key, f"both {key} and {key}_factor", f"either {key} or {key}_factor")
+        for key in ("medium_gap", "medium_range") if self.medium == "none" else EQUAL_POTENTIAL:
+            if getattr(self, key) is not None:
+                allowed = 'medium = "none"' if self.medium != "none" else 'a medium, such as medium = "air"'
+                raise SceneError(key, f"{key} with medium = {shown(self.medium)}", f"{key} with {allowed} alone")
+        if self.nodal_weight == "unit" and self.medium != "none":
+            allowed = 'medium = "none" with nodal_weight = "unit", whose springs have no area'
+            raise SceneError("medium", shown(self.medium), allowed)
         if self.nodal_weight is not None and self.method != "node":
             raise SceneError("nodal_weight", shown(self.nodal_weight), 'nothing unless method = "node"')
         if self.augment is not None and self.adhesion is not None and self.adhesion.law in REVERSIBLE:

@@ -17,7 +17,7 @@ from piezomat.assembly.problem import Problem
 from piezomat.contact.uzawa import augment
 from piezomat.discretization.prescription import Factors
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.interface import stable_electric_range
+from piezomat.forms.contact.laws.equal_potential import EqualPotential, stable_electric_range
 from piezomat.scene.sections import Load
 from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import WANDERING, NewtonReport, SolveError
@@ -251,9 +251,8 @@ class Stepper:
         if depth > DEEP:
             return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
         model = self.problem.model
-        fades = [
-            float(p.law.fade.min(initial=np.inf)) for p in self.problem.contact.point_sets if p.law.fade is not None
-        ]
+        laws = [p.law.electric for p in self.problem.contact.point_sets]
+        fades = [float(law.fade.min(initial=np.inf)) for law in laws if isinstance(law, EqualPotential)]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
         # Potentials that the bodies' own strain causes have never pulled surfaces together.
         voltage = model.prescription.largest_voltage()

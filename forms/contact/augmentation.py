@@ -17,6 +17,7 @@ import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind, corner_kind
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
 
@@ -73,14 +74,14 @@ def augmented_response(
     shifted = None if jump is None else jump + more_jump
     r = law.respond(gap + more_gap, shifted, history, attraction=attraction, consistent=consistent)
     r.contact = r.contact - 0.5 * law.penalty * more_gap**2
-    if jump is not None and law.electric_penalty is not None:
-        r.electric = r.electric - 0.5 * law.electric_penalty * more_jump**2
+    if jump is not None and isinstance(law.electric, EqualPotential):
+        r.electric = r.electric - 0.5 * law.electric.penalty * more_jump**2
     return r
 
 
 def electric_share(law: InterfaceLaw, response: Response) -> Array:
-    """Share s (m,) of the full electric contact that a response has."""
-    if law.electric_penalty is None:
+    """Share s (m,) of the full penalty for equal potentials that a response has; zero of other laws."""
+    if not isinstance(law.electric, EqualPotential):
         return np.zeros_like(response.slope)
-    rho = law.electric_penalty
+    rho = law.electric.penalty
     return np.where(rho > 0.0, -response.electric_curvature / np.where(rho > 0.0, rho, 1.0), 0.0)

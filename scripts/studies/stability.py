@@ -29,6 +29,7 @@ from matplotlib import pyplot
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from mpi4py import MPI
 
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from scripts.studies import tables
 from scripts.studies.stability_map import Map
 from scripts.studies.stability_maps import MAPS
@@ -54,8 +55,8 @@ def minus_as_plus(interfaces_of: Any) -> Any:
     def flipped(model: Any) -> Any:
         contact = interfaces_of(model)
         for p in contact.surface_pairs:
-            if p.law.electric_penalty is not None:
-                p.law.electric_penalty[:] *= -1.0
+            if isinstance(p.law.electric, EqualPotential):
+                p.law.electric.penalty[:] *= -1.0
         return contact
 
     return flipped

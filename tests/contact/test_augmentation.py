@@ -11,6 +11,7 @@ from mpi4py import MPI
 from piezomat.forms.contact.augmentation import Multipliers, augmented_response
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History
 from piezomat.scene import Scene, SceneError
@@ -136,7 +137,8 @@ def test_responses_are_derivatives_of_the_enthalpy(rng: np.random.Generator) -> 
     """With multipliers in pressing, in tension, and where the electric contact fades out."""
     n, h = 500, 1e-7
     penalty = np.full(n, 2000.0)
-    law = InterfaceLaw(penalty, CohesiveLaw.bilinear(5.0, 0.05, penalty), np.full(n, 0.3), np.full(n, 0.004))
+    equal = EqualPotential(np.full(n, 0.3), np.full(n, 0.004), 0.0)
+    law = InterfaceLaw(penalty, CohesiveLaw.bilinear(5.0, 0.05, penalty), equal)
     gap, jump = rng.uniform(-0.01, 0.02, n), rng.standard_normal(n)
     history = History(rng.uniform(size=n) < 0.5, np.zeros(n))
     shift = (-rng.uniform(0.0, 0.005, n), rng.standard_normal(n))

@@ -19,6 +19,7 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import CURVED_LINE, facet_kind
 from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, nodal_points, quadrature_points
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
 from piezomat.meshes.body_mesh import create
@@ -137,8 +138,8 @@ class Batch(PairBatch):
         count = len(self.gap)
         penalty = rng.uniform(50.0, 100.0, count)
         bond = CohesiveLaw.bilinear(2.0, 0.1, penalty) if adhesion else None
-        electric_terms = (rng.uniform(1.0, 2.0, count), np.full(count, 0.08)) if electric else ()
-        self.law = InterfaceLaw(penalty, bond, *electric_terms)
+        equal = EqualPotential(rng.uniform(1.0, 2.0, count), np.full(count, 0.08), 0.0) if electric else None
+        self.law = InterfaceLaw(penalty, bond, equal)
         self.history = History(rng.uniform(size=count) < 0.7, np.zeros(count))
         self.history.opening[:] = np.where(self.history.touched, rng.uniform(0.0, 0.09, count), 0.0)
         self.weight = rng.uniform(0.5, 1.5, count)
@@ -287,7 +288,7 @@ class Stack:
         degree = 2 * CURVED_LINE - 1 if d == 2 and order == 2 else degree  # the same points, so the same rule
         ds = ufl.Measure("ds", domain=model.mesh, subdomain_data=tags, metadata={"quadrature_degree": degree})(1)
         law = self.contact.surface_pairs[0].law
-        constants = float(law.penalty[0]), float(law.electric_penalty[0]), model.potential_scale
+        constants = float(law.penalty[0]), float(law.electric.penalty[0]), model.potential_scale
         residual, tangent = interface_forms(space, state, d, *constants, ds)
         rows = (here[self.upper][:, None] * 2 * c + np.arange(2 * c)).ravel().astype(PETSc.IntType)
         matrix = assemble_matrix(tangent)
@@ -332,9 +333,9 @@ def interface_forms(
     there = phi_m + m_phi + sum(phi_m.dx(i) * (y1[i] + y2[i]) + m_phi.dx(i) * y1[i] for i in axes)
     there += sum(0.5 * phi_m.dx(i).dx(k) * y1[i] * y1[k] for i in axes for k in axes)
     jump = scale * (phi_s + s_phi - there)
-    z = gap / RANGE
+    z, half = gap / RANGE + 0.5, 0.5 * RANGE
     fading = 1 - z * z * (3 - 2 * z)
-    s = ufl.conditional(ufl.lt(state_gap, 0), 1, ufl.conditional(ufl.lt(state_gap, RANGE), fading, 0))
+    s = ufl.conditional(ufl.lt(state_gap, -half), 1, ufl.conditional(ufl.lt(state_gap, half), fading, 0))
     pressure = ufl.conditional(ufl.lt(state_gap, 0), 0.5 * penalty * gap**2, 0)
     energy = (pressure - 0.5 * rho * s * jump**2) * ds
     first = ufl.derivative(energy, change, ufl.TestFunction(space))

@@ -22,6 +22,15 @@ def test_electrodes_across_a_contact_do_not_pull_surfaces_together(voltage: floa
     assert last["max_potential_jump@lower-upper"] < 0.02 * abs(voltage)
 
 
+@pytest.mark.parametrize("voltage", [20.0, 50.0])
+def test_nor_do_they_across_gaps_of_air(voltage: float) -> None:
+    """They hold each other like an adhesive whose zone no facet resolves: the closed contact is switched off slowly."""
+    last = run(strongly_coupled(voltage, medium="air"), MPI.COMM_SELF).history[-1]
+    assert last["force_y@bottom"] == pytest.approx(40.0, rel=1e-6)
+    assert last["contact_force_y@lower-upper"] == pytest.approx(-40.0, rel=1e-6)
+    assert last["charge@bottom"] == pytest.approx(-last["charge@top"], rel=1e-6)
+
+
 def test_the_charge_of_a_contact_between_electrodes_does_not_hang_on_the_mesh() -> None:
     """The gap over which it fades out is the voltage's and not the facet's: 20 V leave 0.270, 0.273, 0.275 pC."""
     charges = [run(strongly_coupled(20.0, size), MPI.COMM_SELF).history[-1]["charge@top"] for size in (0.02, 0.01)]

@@ -58,7 +58,7 @@ def block(dimension: int = 2, **changes: Any) -> Scene:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_block_between_planes_is_in_the_uniform_state(comm: MPI.Comm, dimension: int) -> None:
     """Compressed by what the two penalties k leave of the motion, a capacitor in series with two penalties rho."""
-    scene = block(dimension)
+    scene = block(dimension, contact={"medium": "none", "electric_range": 1e-8})
     last = run(scene, comm).history[-1]
     # Penalties are a factor of ten times stiffness or permittivity over the size of a facet.
     facet = WIDTH / 3 if dimension == 2 else WIDTH / 2
@@ -96,7 +96,8 @@ def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
     volts: list[float], given: float | None, voltage: float, comm: MPI.Comm
 ) -> None:
     """The largest there is at once: of floor and lid at the end of either stage, and of the root if it has any."""
-    scene = block(load={"steps": [2, 1], "factors": {"press": [1.0, 1.0], "volts": volts}})
+    load = {"steps": [2, 1], "factors": {"press": [1.0, 1.0], "volts": volts}}
+    scene = block(contact={"medium": "none"}, load=load)
     (root,) = scene.boundaries
     scene = scene.model_copy(update={"boundaries": [root.model_copy(update={"potential": given})]})
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
@@ -104,8 +105,8 @@ def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
     stiffness = model.materials[0].mean_stiffness
     wanted = 3.0 * voltage * np.sqrt(PERMITTIVITY / stiffness)
     for plane in interfaces_of(model).planes:
-        assert plane.law.fade == pytest.approx(np.maximum(0.1 * plane.facet_size, wanted))
-        assert len(np.unique(plane.law.fade)) == (1 if voltage == 100.0 else 2)
+        assert plane.law.electric.fade == pytest.approx(np.maximum(0.1 * plane.facet_size, wanted))
+        assert len(np.unique(plane.law.electric.fade)) == (1 if voltage == 100.0 else 2)
 
 
 def test_an_insulating_plane_shows_the_voltage_of_what_touches_it(comm: MPI.Comm) -> None:
@@ -125,28 +126,30 @@ def test_an_insulating_plane_shows_the_voltage_of_what_touches_it(comm: MPI.Comm
     assert row["force_y@above"] == 0.0 and np.isnan(row["mean_potential@above"])
 
 
+@pytest.mark.parametrize("medium", ["none", "air"])
 @pytest.mark.parametrize("geometry", ["disc", "block"])
 def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
-    geometry: str, comm: MPI.Comm, rng: np.random.Generator
+    geometry: str, medium: str, comm: MPI.Comm, rng: np.random.Generator
 ) -> None:
     """A plane askew through bodies with random displacements and potentials, in reach of the electric fading."""
     planes = [{"name": "askew", "point": [0.1, 0.4], "normal": [0.6, 0.8], "potential": 2.0, "motion": [0.01, -0.02]}]
-    scene = block(planes=planes, load={"steps": [1]})
+    planes += [{"name": "far", "point": [0, -50], "normal": [0, 1], "potential": 0}]  # between two potentials all pull
+    scene = block(planes=planes, contact={"medium": medium}, load={"steps": [1]})
     if geometry == "disc":
         scene = Scene(
             geometry={"shape": "fiber_array", "columns": 1, "rows": 1},
             mesh={"size": 0.3, "order": 2},
             bodies={"*": "pvdf"},
             planes=planes,
-            contact=None,
+            contact={"medium": medium},
         )
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
     state = model.coordinate_vector()
     state.array[:] = 0.02 * rng.standard_normal(len(state.array))
     # Wide enough that points in the fading part of the law count too.
-    for plane in contact.planes:
-        plane.law.fade[:] = 0.3
+    for plane in contact.planes if medium == "none" else ():
+        plane.law.electric.fade[:] = 0.3
     contact.detect(state, 10.0)
 
     def energy(at: Any) -> float:

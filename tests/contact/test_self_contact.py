@@ -199,7 +199,7 @@ def test_points_meet_what_a_search_through_all_facets_finds(
     tmp_path: Path, cells: str, passes: int, rng: np.random.Generator
 ) -> None:
     """And that is always on the other leg, across the open space between them."""
-    scene = pressed_hairpin(hairpin(tmp_path / "hairpin.csv"), cells, electric_range=0.1, passes=passes)
+    scene = pressed_hairpin(hairpin(tmp_path / "hairpin.csv"), cells, electric_range=0.2, passes=passes)
     contact, position = moved(scene, closing)
     (p,) = contact.surface_pairs
     rows, partner = p.projected_points, p.master_facet

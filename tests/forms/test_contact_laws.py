@@ -10,6 +10,7 @@ import pytest
 
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.cohesive import CUTOFF_DROP, ELECTRIC_RELEASE, CohesiveLaw
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.response import History, Response
 from tests.derivative import slope
@@ -29,7 +30,8 @@ def interface(kind: str, always: bool = False, points: int = 1, electric: bool =
         )
     if not electric:
         return InterfaceLaw(penalty, adhesion)
-    return InterfaceLaw(penalty, adhesion, np.full(points, RHO), np.full(points, FADE))
+    start = -0.5 if adhesion is None else 0.0
+    return InterfaceLaw(penalty, adhesion, EqualPotential(np.full(points, RHO), np.full(points, FADE), start))
 
 
 LAWS = [
@@ -64,7 +66,7 @@ def samples(law: InterfaceLaw, rng: np.random.Generator, count: int = 400) -> tu
     if law.adhesion is not None:
         a = law.adhesion
         kinks += [np.full_like(gap, float(k[0])) for k in (a.elastic, a.plateau, a.final, ELECTRIC_RELEASE * a.final)]
-    kinks += [np.full_like(gap, FADE)]
+    kinks += [np.full_like(gap, end * FADE) for end in (-0.5, 0.5, 1.0)]
     far = np.min([np.abs(gap - k) for k in kinks], axis=0) > 5e-6
     return gap[far], history[far]
 
@@ -164,7 +166,7 @@ def path(law: InterfaceLaw, rng: np.random.Generator, turns: int = 8) -> list[fl
     if law.adhesion is not None:
         a = law.adhesion
         kinks += [float(k[0]) for k in (a.elastic, a.plateau, a.final, ELECTRIC_RELEASE * a.final)]
-    kinks.append(FADE)
+    kinks += [-0.5 * FADE, 0.5 * FADE, FADE]
     stops = ends[:1]
     for a, b in pairwise(ends):
         between = sorted({k for k in kinks if min(a, b) < k < max(a, b)}, reverse=b < a)
@@ -334,7 +336,7 @@ def switch(law: InterfaceLaw, gap: Array, history: History) -> Array:
 @each_law
 def test_potentials_stay_equal_in_contact_and_while_bonded(kind: str, always: bool) -> None:
     law = interface(kind, always, electric=True)
-    pressed = np.linspace(-0.01, 0.0, 20)
+    pressed = np.linspace(-0.01, -0.5 * FADE if kind == "unilateral" else 0.0, 20)
     np.testing.assert_allclose(switch(law, pressed, History.virgin(20)), 1.0, atol=1e-15)
     # What always attracts takes the potentials along wherever it attracts.
     far = np.linspace(1.0001 * (float(law.adhesion.final[0]) if always else FADE), 2.0 * FINAL, 20)
@@ -406,7 +408,7 @@ def test_nothing_answers_beyond_the_reach(kind: str, always: bool) -> None:
         law = interface(kind, always, electric=electric)
         far = np.array([law.interaction_range + 1e-14])
         if kind == "unilateral":
-            assert law.interaction_range == (FADE if electric else 0.0)
+            assert law.interaction_range == (0.5 * FADE if electric else 0.0)
         for touched in (False, True):
             r = law.respond(far, np.ones(1), History(np.array([touched]), np.zeros(1)))
             assert not r.slope.any() and not r.charge.any() and not r.curvature.any()
@@ -416,7 +418,8 @@ def test_points_of_different_penalties_are_independent(rng: np.random.Generator)
     """The response of a law over many points is that of the law of each point, for any selection of rows."""
     penalty = rng.uniform(1000.0, 4000.0, 30)
     adhesion = CohesiveLaw.bilinear(STRENGTH, ENERGY, penalty)
-    law = InterfaceLaw(penalty, adhesion, rng.uniform(0.1, 1.0, 30), rng.uniform(1.0, 2.0, 30) * FADE)
+    electric = EqualPotential(rng.uniform(0.1, 1.0, 30), rng.uniform(1.0, 2.0, 30) * FADE)
+    law = InterfaceLaw(penalty, adhesion, electric)
     gap, jump = rng.uniform(-0.01, FINAL, 30), rng.standard_normal(30)
     history = History(rng.uniform(size=30) < 0.7, rng.uniform(0.0, FINAL, 30))
     history.opening[~history.touched] = 0.0
@@ -429,8 +432,7 @@ def test_points_of_different_penalties_are_independent(rng: np.random.Generator)
         alone = InterfaceLaw(
             penalty[i : i + 1],
             CohesiveLaw.bilinear(STRENGTH, ENERGY, penalty[i : i + 1]),
-            law.electric_penalty[i : i + 1],
-            law.fade[i : i + 1],
+            electric[i : i + 1],
         ).respond(gap[i : i + 1], jump[i : i + 1], history[[i]])
         assert alone.slope[0] == whole.slope[i] and alone.charge[0] == whole.charge[i]
 

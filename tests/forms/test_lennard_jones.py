@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.forms.arrays import Array
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.lennard_jones import CUTOFF_START, LennardJones
 from piezomat.forms.contact.laws.response import History
@@ -26,8 +27,8 @@ EXACT = ref.LennardJones(LAW.hamaker, LAW.distance)
 
 def interface(points: int, electric: bool = False) -> InterfaceLaw:
     """The law with the same constants at every point."""
-    more = (np.full(points, 0.3), np.full(points, 0.004)) if electric else ()
-    return InterfaceLaw(np.full(points, PENALTY), LAW[np.zeros(points, int)], *more)
+    equal = EqualPotential(np.full(points, 0.3), np.full(points, 0.004)) if electric else None
+    return InterfaceLaw(np.full(points, PENALTY), LAW[np.zeros(points, int)], equal)
 
 
 def traction(gap: Array) -> Array:
@@ -101,12 +102,12 @@ def test_stored_energy_is_zero_far_off_and_lowest_at_rest() -> None:
 
 def test_nothing_is_remembered_and_potentials_are_joined_where_surfaces_rest() -> None:
     law = interface(3, electric=True)
-    gap = np.array([0.5 * LAW.equilibrium_gap, LAW.equilibrium_gap, LAW.equilibrium_gap + 0.0041])
+    gap = LAW.equilibrium_gap + np.array([-0.0021, 0.0, 0.0041])
     history = History.virgin(3).advanced(gap, law.touching(gap))
     assert not history.touched.any() and not law.bonded(history).any()
     np.testing.assert_array_equal(law.status(gap, history), [1, 1, 0])
     charge = law.respond(gap, np.ones(3), history).charge
-    np.testing.assert_allclose(charge, [-0.3, -0.3, 0.0], rtol=1e-13)
+    np.testing.assert_allclose(charge, [-0.3, -0.15, 0.0], rtol=1e-13)
 
 
 def test_a_penalty_softer_than_the_law_is_an_error() -> None:

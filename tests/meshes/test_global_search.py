@@ -88,7 +88,7 @@ def test_rules_say_who_may_meet() -> None:
 
 def test_every_point_finds_what_a_search_through_all_bodies_finds(comm: MPI.Comm, rng: np.random.Generator) -> None:
     """Against each other fiber in turn, by the slow reference; the deepest or nearest of them is the one."""
-    scene = mat(contact={"electric_range": 0.2})
+    scene = mat(contact={"electric_range": 0.4})
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
     contact = interfaces_of(model)
     state = model.coordinate_vector()
@@ -282,7 +282,7 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     both = mat(bodies={"*": "pvdf", "fiber_2": "elastic", "fiber_5": "elastic"})
     contact = interfaces_of(Model(both, create(comm, both.geometry, both.sizes)))
     assert len(contact.surface_pairs) == 4
-    assert sum(p.law.electric_penalty is not None for p in contact.surface_pairs) == 1
+    assert sum(p.law.electric is not None for p in contact.surface_pairs) == 1
     once = mat(contact={"passes": 1})
     model = Model(once, create(comm, once.geometry, once.sizes))
     contact = interfaces_of(model)

@@ -158,10 +158,28 @@ def test_defaults() -> None:
     assert contact is not None
     assert (contact.pairs, contact.method, contact.passes) == ("auto", "point", 2)
     assert (contact.normal_penalty, contact.normal_penalty_factor) == (None, 10.0)
-    assert (contact.electric_penalty, contact.electric_penalty_factor) == (None, 10.0)
+    assert (contact.medium, contact.medium_gap, contact.medium_range) == ("air", None, None)
+    assert (contact.electric_penalty, contact.electric_penalty_factor) == (None, None)
+    assert halves(contact={"medium": "none"}).contact.electric_penalty_factor == 10.0
+    assert halves(contact={"electric_range": 0.1}).contact.medium == "none"
     assert (contact.nodal_weight, contact.electric_range, contact.adhesion) == (None, None, None)
     assert halves(contact={"method": "node"}).contact.nodal_weight == "area"
     assert halves().contact is None
+
+
+@pytest.mark.parametrize(
+    ("contact", "key", "words"),
+    [
+        ({"medium": "air", "electric_range": 0.1}, "electric_range", "electric_range with medium"),
+        ({"medium": 1e-5, "electric_penalty": 0.1}, "electric_penalty", "electric_penalty with medium"),
+        ({"medium": "none", "medium_gap": 0.1}, "medium_gap", "medium_gap with medium"),
+        ({"method": "node", "nodal_weight": "unit", "medium": "air"}, "medium", 'nodal_weight = "unit"'),
+    ],
+)
+def test_keys_of_another_law_than_that_of_the_medium_are_errors(contact: dict, key: str, words: str) -> None:
+    with pytest.raises(SceneError, match=words) as caught:
+        halves(contact=contact)
+    assert caught.value.key == f"contact.{key}"
 
 
 def test_title_is_the_name_of_the_file(tmp_path: Path) -> None:

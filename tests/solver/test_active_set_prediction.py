@@ -41,7 +41,7 @@ def askew(**mesh: Any) -> Scene:
         mesh={"size": 0.3, **mesh},
         bodies={"*": "pvdf"},
         planes=[plane],
-        contact=None,
+        contact={"medium": "none"},
     )
 
 
@@ -60,7 +60,7 @@ def test_the_response_of_a_plane_is_predicted_exactly(order: int, comm: MPI.Comm
     """Gaps and jumps are linear there: predicted residual and tangent lead to the residual after the change."""
     contact, state, change = paired(askew(order=order), comm, rng)
     for p in contact.planes:
-        p.law.fade[:] = 0.3  # points in the fading part of the electric law count too
+        p.law.electric.fade[:] = 0.3  # points in the fading part of the electric law count too
     contact.evaluate(state, tangent=True)
     (p,) = contact.planes
     missed = contact.predict(change)

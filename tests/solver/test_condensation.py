@@ -30,7 +30,7 @@ class FailsOnce(InterfaceLaw):
     @classmethod
     def of(cls, law: InterfaceLaw, left: list[int]) -> FailsOnce:
         """The same law, which fails."""
-        failing = cls(law.penalty, law.adhesion, law.electric_penalty, law.fade)
+        failing = cls(law.penalty, law.adhesion, law.electric)
         failing.left = left
         return failing
 

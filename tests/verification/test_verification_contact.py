@@ -52,6 +52,7 @@ def stack(cells: str, order: int, divisions: list[list[int]], r: float, **contac
         geometry["depth"] = 1
         fixed |= {"front": 1, "back": 1}
     penalties = {"normal_penalty": r * PVDF.stiffness[2, 2], "electric_penalty": r * PVDF.permittivity}
+    penalties["electric_range"] = 1e-8  # less than any penetration: the whole penalty acts
     return layers(
         geometry, ("lower", "upper"), fixed, mesh={"cells": cells, "order": order}, contact=penalties | contact
     )
