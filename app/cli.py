@@ -12,7 +12,6 @@ import logging
 import os
 import shutil
 import sys
-import tempfile
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
@@ -23,13 +22,13 @@ from typing import Any, NoReturn
 from mpi4py import MPI
 
 from piezomat import environment
+from piezomat.cli_paths import check_directory, check_own, check_results, mesh_name, path_of
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import ignore_broken_pipes
-from piezomat.results.folder import check_free, check_scene_stays, is_of_a_run
 from piezomat.scene import Scene, SceneError, schema
 from piezomat.scene import toml as scene_file
-from piezomat.scene.errors import LONGEST, mesh_error, named, shown
+from piezomat.scene.errors import mesh_error, named
 from piezomat.usage import importing
 
 DONE, FAILED, WRONG_SCENE, NOT_CONVERGED = 0, 1, 2, 3
@@ -117,6 +116,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
             command.add_argument("--out", metavar="FILE.msh", required=True)
     for name, purpose in {
         "view": "draw pictures of a finished run",
+        "report": "one page on a run: text, report.html, report.json",
         "resume": "go on from the last converged step of a run",
     }.items():
         command = commands.add_parser(name, help=purpose, description=purpose)
@@ -165,14 +165,14 @@ def _run(options: argparse.Namespace, comm: MPI.Comm) -> int:
     path = scene_file.find(options.scene)
     out = Path("results") / path.stem
     if options.out is not None:
-        out = on_root(comm, lambda: _path(options.out, "a directory, new or of an older run"))
-    on_root(comm, lambda: _check_directory(out, path))
+        out = on_root(comm, lambda: path_of(options.out, "a directory, new or of an older run"))
+    on_root(comm, lambda: check_directory(out, path))
     return _simulate(scene, comm, out, resume=False)
 
 
 def _resume(options: argparse.Namespace, comm: MPI.Comm) -> int:
     out: Path = options.directory
-    on_root(comm, lambda: _check_results(out))
+    on_root(comm, lambda: check_results(out))
     from piezomat.results.run_scene import of_run
 
     scene = on_root(comm, lambda: of_run(out))
@@ -218,7 +218,7 @@ def _columns(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     scene = _scene(options, comm)
-    out = on_root(comm, lambda: _mesh_name(options.out, scene))
+    out = on_root(comm, lambda: mesh_name(options.out, scene))
     from piezomat.meshes import body_mesh
 
     try:
@@ -231,8 +231,8 @@ def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
 
 
 def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
-    on_root(comm, lambda: _check_results(options.directory, "history.csv"))
-    on_root(comm, lambda: _check_picture(options.directory))
+    on_root(comm, lambda: check_results(options.directory, "history.csv"))
+    on_root(comm, lambda: check_own(options.directory, "picture.*", "a picture"))
     from piezomat.pictures.picture import Choice, view
     from piezomat.results.vtk import ResultsError
 
@@ -241,6 +241,18 @@ def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
         return _done(comm, *on_root(comm, lambda: view(options.directory, choice, options.format)))
     except ResultsError as error:
         return _fail(comm, error, WRONG_SCENE if str(error).startswith("--") else FAILED)
+
+
+def _report(options: argparse.Namespace, comm: MPI.Comm) -> int:
+    on_root(comm, lambda: check_results(options.directory, "history.csv"))
+    on_root(comm, lambda: check_own(options.directory, "report.*", "a report"))
+    from piezomat.report.page import report
+    from piezomat.results.vtk import ResultsError
+
+    try:
+        return _result(comm, on_root(comm, lambda: report(options.directory)).rstrip("\n"))
+    except ResultsError as error:
+        return _fail(comm, error, FAILED)
 
 
 def _schema(options: argparse.Namespace, comm: MPI.Comm) -> int:
@@ -253,6 +265,7 @@ _COMMANDS = {
     "columns": _columns,
     "mesh": _mesh,
     "view": _view,
+    "report": _report,
     "resume": _resume,
     "schema": _schema,
 }
@@ -273,66 +286,6 @@ def _compiled_forms(comm: MPI.Comm) -> Iterator[None]:
     finally:
         if made is not None and comm.rank == 0:
             shutil.rmtree(made, ignore_errors=True)
-
-
-def _path(text: str, allowed: str) -> Path:
-    """The value of --out as a path. Raises SceneError for one that the system does not take."""
-    if not text:
-        raise SceneError("--out", '""', allowed)
-    try:
-        os.stat(text)
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except (OSError, ValueError) as error:
-        raise SceneError("--out", f"{shown(text)}: {getattr(error, 'strerror', None) or error}", allowed) from None
-    return Path(text)
-
-
-def _check_directory(out: Path, scene: Path) -> None:
-    """Raise SceneError unless results of a scene file can be written to `out`, which need not exist."""
-    there = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise SceneError("--out", f"{there}, which is a file", "a directory, new or of an older run")
-    _check_writable(there)
-    check_scene_stays(out, scene)
-    check_free(out)
-
-
-def _check_writable(there: Path) -> None:
-    """Raise SceneError unless a file can be made in a directory."""
-    try:
-        os.rmdir(tempfile.mkdtemp(dir=there, prefix=".piezomat-"))  # a mode says nothing of /proc, nor to root
-    except OSError as error:
-        raise SceneError(
-            "--out", f"{there}, which cannot be written to ({error.strerror})", "a writable directory"
-        ) from None
-
-
-def _check_picture(directory: Path) -> None:
-    """Raise SceneError where a picture would be replaced that no run has drawn."""
-    if any(directory.glob("picture.*")) and not is_of_a_run(directory):
-        raise SceneError("", "a picture that no run has drawn", "the directory of a run").in_file(directory)
-
-
-def _mesh_name(text: str, scene: Scene) -> Path:
-    """The name of a new mesh file. Raises SceneError for a text that can be none, and for a file the scene reads."""
-    out = _path(text, "a name that ends in .msh")
-    if out.suffix != ".msh":
-        raise SceneError("--out", str(out), "a name that ends in .msh")
-    if not out.absolute().parent.is_dir():
-        raise SceneError("--out", f"{out}, in no directory", "a file in a directory that exists")
-    _check_writable(out.absolute().parent)
-    if out.exists() and (file := getattr(scene.geometry, "file", None)) is not None and out.samefile(file):
-        raise SceneError("--out", f"{out}, which the scene reads", "another file")
-    return out
-
-
-def _check_results(directory: Path, name: str = "") -> None:
-    """Raise SceneError unless there is the directory and, where a name is given, that file of a run in it."""
-    if not (scene_file.is_file(directory / name) if name else scene_file.is_directory(directory)):
-        found = f"no {name} in it" if scene_file.is_directory(directory) else "no such directory"
-        name = str(directory)
-        raise SceneError("", found, "the directory of a run").in_file(shown(name) if len(name) > LONGEST else directory)
 
 
 def _file(options: Any) -> str:

@@ -31,7 +31,19 @@ ORDER = (
         "assembly",
         "solver",
     ),
-    *("results", "pictures", "plan_text", "progress", "interrupts", "simulation", "api", "cli", "__main__"),
+    *(
+        "results",
+        "pictures",
+        "report",
+        "plan_text",
+        "progress",
+        "interrupts",
+        "simulation",
+        "api",
+        "cli_paths",
+        "cli",
+        "__main__",
+    ),
 )
 
 

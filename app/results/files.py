@@ -125,7 +125,7 @@ class Results:
             self._write_history(kept)
             for folder in PIECES:
                 self._forget(folder, last_step)
-            for name in ("summary.json", "picture.png"):
+            for name in ("summary.json", "picture.png", "report.txt", "report.html", "report.json"):
                 (self.out / name).unlink(missing_ok=True)
             return kept
 

@@ -26,7 +26,7 @@ CHECKPOINT = "checkpoint"
 MESH, FIBERS = "mesh.msh", "fibers.csv"
 PIECES = {"fields": "vtu", "contact": "vtp"}
 _FILES = "scene.toml history.csv pairs.csv summary.json fields.pvd contact.pvd log.txt".split()
-_FILES += "picture.png picture.pdf picture.svg".split()
+_FILES += "picture.png picture.pdf picture.svg report.txt report.html report.json".split()
 # Names of a run's files in each of its folders.
 _NAMES = {
     "": re.compile("|".join(map(re.escape, _FILES))),
@@ -36,7 +36,7 @@ _NAMES = {
 }
 # What a killed process has not finished; before the names were random they had no digits.
 _UNFINISHED = re.compile(
-    r"\.(step_\d{4,}(_rank_\d{4,})?|scene|history|pairs|summary|fields|contact|picture|mesh|fibers)"
+    r"\.(step_\d{4,}(_rank_\d{4,})?|scene|history|pairs|summary|fields|contact|picture|report|mesh|fibers)"
     r"(\.[0-9a-f]{16})?\.part(\.\w+)?"
 )
 _ELSEWHERE = "a folder of its own for each run, such as --out results/A"
