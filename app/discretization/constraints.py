@@ -250,7 +250,7 @@ def load_factor(row: Boundary | Electrode | Plane, factors: dict[str, float]) ->
 def reference_nodes(scene: Scene) -> int:
     """Number of reference nodes that a scene needs at most, see `Constraints`."""
     metal = sum(scene.material(body).conductor for body in scene.body_names)
-    moving = sum(row.rigid for row in scene.boundaries) + sum(plane.is_pushed for plane in scene.planes)
+    moving = sum(bool(row.rigid) for row in scene.boundaries) + sum(plane.is_pushed for plane in scene.planes)
     return len(scene.electrodes) + metal + moving
 
 

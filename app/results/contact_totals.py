@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezomat.contact.facets_across import facets_across
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.forms.arrays import Array
@@ -19,7 +20,8 @@ class PairTotals:
     force (d,): on the first body, uN.
     area, bonded_area: where the gap is closed, and where adhesion has not broken, um2.
     max_pressure (MPa), max_penetration (um, of points and of the slave's nodes), max_potential_jump (V, of points that
-    touch or are bonded): 0 for none.
+    touch or are bonded): 0 for none. facets_across: least number across a place that carries some of the load, 0 for
+    none; not of sums.
     """
 
     force: Array
@@ -28,6 +30,7 @@ class PairTotals:
     max_pressure: float
     max_penetration: float
     max_potential_jump: float
+    facets_across: float = 0.0
 
     @classmethod
     def none(cls, dim: int) -> PairTotals:
@@ -52,7 +55,7 @@ class PlaneTotals:
 
     travel: along the normal, um. force (d,): that the plane exerts on the bodies, uN. area: um2. max_pressure: MPa.
     max_penetration: um. charge: of an electrode, pC. potential: of an electrode its own, V; of an insulator the mean
-    over the surfaces that touch it, nan where none does.
+    over the surfaces that touch it, nan where none does. facets_across: see `PairTotals`.
     """
 
     travel: float
@@ -62,6 +65,7 @@ class PlaneTotals:
     max_penetration: float
     charge: float
     potential: float
+    facets_across: float = 0.0
 
 
 def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
@@ -97,11 +101,26 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
     for part in contact.comm.allgather(mine):
         for pair, totals in part.items():
             everywhere[pair] = everywhere.get(pair, none) + totals
-    return dict(sorted(everywhere.items()))
+    across = facets_across(contact)
+    numbers = sorted(everywhere)
+    places = contact.pairs.in_results(np.array(numbers, np.int64)).tolist()
+    return {
+        number: replace(everywhere[number], facets_across=across[place].facets if place in across else 0.0)
+        for number, place in zip(numbers, places, strict=True)
+    }
 
 
-def totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
-    """Totals of a plane at the last evaluation. Collective."""
+def totals_of_planes(contact: Interfaces) -> list[PlaneTotals]:
+    """Totals of each plane at the last evaluation. Collective."""
+    across = facets_across(contact) if contact.planes else {}
+    found = [_totals_of_plane(contact, plane) for plane in contact.planes]
+    return [
+        replace(totals, facets_across=across[number].facets if number in across else 0.0)
+        for number, totals in enumerate(found, start=contact.pairs.first_plane)
+    ]
+
+
+def _totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     d, area = contact.dim, plane.points.area[plane.near_points]
     closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)

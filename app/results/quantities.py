@@ -17,7 +17,7 @@ from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
 from piezomat.results.box import box_of, box_state
-from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_of_plane
+from piezomat.results.contact_totals import PairTotals, totals_of_pairs, totals_of_planes
 from piezomat.results.electrodes import electrode_states
 from piezomat.results.energy_balance import EnergyBalance
 from piezomat.results.reactions import reaction
@@ -127,7 +127,7 @@ def _reactions(at: ConvergedStep) -> list[Any]:
 
 def _planes(at: ConvergedStep) -> list[Any]:
     contact = at.problem.contact
-    return [totals_of_plane(contact, plane) for plane in contact.planes] if contact is not None else []
+    return totals_of_planes(contact) if contact is not None else []
 
 
 def _pairs(at: ConvergedStep) -> list[Any]:
@@ -203,6 +203,13 @@ PLANE = Group(
         Quantity("contact_area@{place}", "um2", "area that touches the plane", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
         Quantity(
+            "facets_across@{place}",
+            "",
+            "least number of facets across a place of contact that carries 5 % of the load or more; 0 without any, and "
+            "on flat faces",
+            attrgetter("facets_across"),
+        ),
+        Quantity(
             "max_penetration@{place}",
             "um",
             "largest penetration of contact points and of nodes",
@@ -257,6 +264,13 @@ PAIR = Group(
         Quantity("contact_force_{axis}@{place}", "uN", "force on the first body of the pair", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area where the gap is closed", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
+        Quantity(
+            "facets_across@{place}",
+            "",
+            "least number of facets across a place of contact that carries 5 % of the load or more; 0 without any, and "
+            "on flat faces",
+            attrgetter("facets_across"),
+        ),
         Quantity(
             "max_penetration@{place}",
             "um",

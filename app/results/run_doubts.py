@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.facets_across import Across, facets_across
 from piezomat.contact.unseen_penetration import new_warnings
 from piezomat.contact.untouched_bodies import contact_forces, unconstrained_parts, untouched_bodies
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
+from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.results.vtk import FieldPiece
 from piezomat.scene.data import key_of
 from piezomat.scene.errors import named, shown
@@ -19,6 +21,7 @@ from piezomat.scene.errors import named, shown
 LARGE_STRAIN = 0.1  # beyond which small kinematics are off by as much
 SMALL_FORCE = 0.05  # of the largest on a body: less is that of a loose fiber on its way to the next
 UNBALANCED = 0.5  # of the magnitudes of the contact forces on a body
+FEW_FACETS = 6  # across a contact: with fewer the pressure has no shape
 ZERO = 1e-6  # of the largest potential in the bodies
 
 
@@ -33,6 +36,7 @@ class RunDoubts:
         model = problem.model
         self._touched: set[int] = set()
         self._unseen: set[int] = set()
+        self._across: dict[int, Across] = {}  # of each pair and plane, in the step in which it bears most
         bodies = len(model.bodies.bodies)
         self._most, self._unbalanced = np.zeros(bodies), np.zeros(bodies)
         self._said: set[str] = set()
@@ -50,6 +54,8 @@ class RunDoubts:
         if contact is not None:
             self._touched |= contact.touching_bodies()
             self._compare_forces()
+            for number, across in facets_across(contact).items():
+                self._across[number] = max(across, self._across.get(number, across), key=lambda a: a.force)
             found += new_warnings(contact, self._unseen)
         if model.electric:
             potential = self.problem.solution().x.array.reshape(-1, model.unknowns.block)[:, model.dim]
@@ -71,6 +77,9 @@ class RunDoubts:
         drifting = self._drifting()
         if drifting:
             found.append(f"nothing but weak springs holds {_bodies(drifting)} against what presses on one side")
+        coarse = self._coarse()
+        if coarse is not None:
+            found.append(coarse)
         zero = self._zero_voltages(history)
         if zero:
             found.append(
@@ -78,6 +87,25 @@ class RunDoubts:
                 f"the bodies reach {self._largest_potential:.2g} V: by symmetry? Poling across the load gives none"
             )
         return found
+
+    def _coarse(self) -> str | None:
+        """The contact with the fewest facets across, if they are too few, and what to change."""
+        if not self._across:
+            return None
+        number = min(self._across, key=lambda number: self._across[number].facets)
+        least, scene = self._across[number].facets, self.problem.model.scene
+        if least >= FEW_FACETS or getattr(scene.geometry, "divisions", None) is not None:
+            return None
+        few = sum(across.facets < FEW_FACETS for across in self._across.values())
+        others = f", and {few - 1} other{'s' if few > 2 else ''} less than {FEW_FACETS}" if few > 1 else ""
+        size = "make the facets of the mesh there smaller"
+        if not isinstance(scene.geometry, MeshFile):
+            size = f"lower mesh.contact_size to {scene.sizes.contact_size * least / FEW_FACETS:.1g}"
+        name = shown(self.problem.contact.pairs.result_name(number))
+        return (
+            f"the contact {name} is {least:.2g} facets wide{others}: its largest pressure and the voltage are those of "
+            f"the mesh; {size} for {FEW_FACETS} facets"
+        )
 
     def _compare_forces(self) -> None:
         """Keep how far from balance the contact forces on each body are where they are largest."""

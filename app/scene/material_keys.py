@@ -48,7 +48,9 @@ class MaterialKeys(Keys):
         description="direction of material axis 3; default where piezoelectric: up (y in 2D, z in 3D)",
     )
     axis1: Direction | None = Field(None, description="direction of material axis 1, made perpendicular to poling")
-    conductor: bool = Field(False, description="a metal: each body of it has one potential, and no permittivity")
+    conductor: bool | None = Field(
+        None, description="true: a metal, of which each body has one potential; it has no permittivity"
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -92,7 +94,7 @@ class MaterialKeys(Keys):
         if permittivity is None and self.piezo is not None:
             raise SceneError("permittivity", "none, though piezo is given", "a permittivity wherever there is piezo")
         source = f"the scene, from {self.like}" if base is not None else "the scene"
-        material = Material(self._stiffness(base), piezo, permittivity, source, self.conductor)
+        material = Material(self._stiffness(base), piezo, permittivity, source, bool(self.conductor))
         try:
             material.check()
         except ValueError as error:

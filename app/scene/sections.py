@@ -71,7 +71,7 @@ class Boundary(Keys):
         None, description="MPa per reference area, one a dimension"
     )
     pressure: float | None = Field(None, description="MPa, pushing inward")
-    rigid: bool = Field(False, description="the group moves as one, without rotation, under a force")
+    rigid: bool | None = Field(None, description="true: the group moves as one, without rotation, under a force")
     force: Annotated[list[float], Field(min_length=2, max_length=3)] | None = Field(
         None, description="uN (2D: per um of depth), on a rigid group: its total force, one a dimension"
     )

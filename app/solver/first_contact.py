@@ -26,7 +26,7 @@ def settle(problem: Problem, mode: EvaluationMode) -> None:
         return
     wanted = problem.model.loads.forces[-len(travels) :]
     force, _ = push(contact, problem.state, mode)
-    apart = (wanted > 0.0) & (force == 0.0)
+    apart = (wanted > 0.0) & (force <= 0.0)  # a medium in the gap may pull
     if not apart.any():
         return
     depth = np.where(apart, FIRST * contact.mean_facet_size, 0.0)

@@ -59,8 +59,9 @@ def test_columns_of_every_kind() -> None:
         "contact_area@lid",
         "max_pressure@lid",
     ]
-    wanted += ["max_penetration@lid", "charge@lid", "mean_potential@lid"]
-    pair = ["contact_force_x", "contact_force_y", "contact_area", "max_pressure", "max_penetration"]
+    wanted += ["facets_across@lid", "max_penetration@lid", "charge@lid", "mean_potential@lid"]
+    pair = ["contact_force_x", "contact_force_y", "contact_area", "max_pressure"]
+    pair += ["facets_across", "max_penetration"]
     pair += ["max_potential_jump", "bonded_area"]
     wanted += [f"{name}@lower-upper" for name in pair]
     assert columns_of(half_discs()) == [*wanted, *ENERGIES, *EFFORT]
