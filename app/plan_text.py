@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 from mpi4py import MPI
 
@@ -27,6 +29,7 @@ def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
         ("mesh", _mesh(model)),
         ("unknowns", _unknowns(model)),
         ("material law", _law(model)),
+        *_axes(model),
         ("held", _held(model)),
         ("contact", _contact(scene.contact, model, contact)),
         *_electric(scene.contact, model, contact),
@@ -81,6 +84,19 @@ def _law(model: Model) -> str:
         kinds.append(f"plane {model.plane}")
     kinds.append(f"{model.kinematics} kinematics")
     return ", ".join(kinds)
+
+
+def _axes(model: Model) -> list[tuple[str, str]]:
+    """What materials whose axes follow the centre lines of bodies do."""
+    scene, names = model.scene, [model.scene.material_name(model.bodies.bodies[body]) for body in model.axes]
+    notes = []
+    for name, count in Counter(names).items():
+        poling = scene.poling(name)
+        direction = f"as near to {poling} as is normal to it" if poling != "across" else "across it, at first upward"
+        notes.append(
+            f"{name}: axis 1 along the centre line, poling {direction} ({count} bod{'ies' if count > 1 else 'y'})"
+        )
+    return [("material axes", "; ".join(notes))] if notes else []
 
 
 def _held(model: Model) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, Literal, Protocol
 
+import numpy as np
 import ufl
 from numpy.typing import ArrayLike
 
@@ -65,6 +66,13 @@ class ConstitutiveLaw(Protocol):
 
         potential_scale: V, by which the field in s is to be multiplied; None: s has no field.
         """
+
+    def numbers_in(self, axes: Array, potential_scale: float | None) -> Array:
+        """The `numbers` (k, n) in 3D of the material with its axes along the columns of rotations (k, 3, 3).
+
+        An isotropic one has the same in all.
+        """
+        return np.tile(self.numbers(3, "strain", potential_scale), (len(axes), 1))
 
     @abstractmethod
     def density(self, s: Any, numbers: Any) -> Any:

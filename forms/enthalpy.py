@@ -16,7 +16,7 @@ sum of the internal residual's psi entries there, divided by potential_scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ import ufl
 from numpy.typing import NDArray
 
 from piezomat.forms import fenicsx
+from piezomat.forms.arrays import Array
 from piezomat.forms.constitutive import ConstitutiveLaw, Plane
 from piezomat.forms.kinematics import Kinematics, strain_and_field
 
@@ -55,10 +56,13 @@ def regions(
     cell_material: NDArray[np.int32],
     plane: Plane,
     potential_scale: float | None,
+    axes: Mapping[int, Array] | None = None,
 ) -> list[Region]:
     """The regions of a mesh, one for each class of its materials. Collective.
 
     cell_material (local cells,): number of the material of each cell
+    axes: of materials whose axes differ from cell to cell, by number, in 3D: rotations (n, 3, 3) to each of its local
+        cells, whose columns are the axes
     potential_scale: V, of the potential unknown; None without potential
     """
     dim = mesh.topology.dim
@@ -74,7 +78,11 @@ def regions(
             table[i] = numbers
         field = dolfinx.fem.Function(fenicsx.piecewise_constant(mesh, table.shape[1]))
         places = fenicsx.dofmap(field.function_space)[: len(cell_material), 0]
-        field.x.array.reshape(-1, table.shape[1])[places] = table[cell_material]
+        values = table[cell_material]
+        for i, rotations in (axes or {}).items():
+            if i in of_class:
+                values[cell_material == i] = materials[i].numbers_in(rotations, potential_scale)
+        field.x.array.reshape(-1, table.shape[1])[places] = values
         field.x.scatter_forward()
         law = next(material for material in materials if type(material) is kind)
         found.append(Region(law, field) if tags is None else Region(law, field, tags, tag))

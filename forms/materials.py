@@ -25,6 +25,7 @@ VACUUM_PERMITTIVITY = 8.8541878128e-6  # pC/(V um), CODATA 2018
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # tensor indices of each Voigt entry
 IN_PLANE = (0, 1, 5, 6, 7)  # of the nine entries of (S, E): S11, S22, 2 S12, E1, E2
 OUT_OF_PLANE = (2, 3, 4)  # S33, 2 S23, 2 S13
+AT_ONCE = 20_000  # rotations of a matrix at a time: 40 MB
 
 
 class Response(NamedTuple):
@@ -186,11 +187,21 @@ class Material(ConstitutiveLaw):
         Rows and columns of the field are multiplied by the potential's scale. Without it the elastic block: 6 or 21.
         """
         matrix = self.constitutive_matrix(dim, plane)
-        strains = len(matrix) - dim
-        size = strains if potential_scale is None else len(matrix)
-        scale = np.ones(size)
-        scale[strains:] = potential_scale or 1.0
-        return (scale[:, None] * matrix[:size, :size] * scale)[np.triu_indices(size)]
+        return _upper_triangle(matrix, len(matrix) - dim, potential_scale)
+
+    def numbers_in(self, axes: Array, potential_scale: float | None) -> Array:
+        """The `numbers` (k, 45 or 21) in 3D of the material with its axes along the columns of rotations (k, 3, 3).
+
+        M' = Q M Q^T with Q = [[K, 0], [0, R]], see `rotated`.
+        """
+        matrix = self.constitutive_matrix(3)
+        found = np.empty((len(axes), 21 if potential_scale is None else 45))
+        for start in range(0, len(axes), AT_ONCE):
+            some = slice(start, start + AT_ONCE)
+            turn = np.zeros((len(axes[some]), 9, 9))
+            turn[:, :6, :6], turn[:, 6:, 6:] = stress_rotation(axes[some]), axes[some]
+            found[some] = _upper_triangle(turn @ matrix @ np.swapaxes(turn, 1, 2), 6, potential_scale)
+        return found
 
     def density(self, s: Any, numbers: Any) -> Any:
         """UFL density 1/2 s.M.s, pJ/um3. Raises ValueError if the numbers are not as many as s needs."""
@@ -239,10 +250,26 @@ class Material(ConstitutiveLaw):
         gradient = state @ self.constitutive_matrix(3)
         return Response(state[..., :6], gradient[..., :6], -gradient[..., 6:])
 
+    def response_in(self, axes: Array, strain: Array, field: Array) -> Response:
+        """The `response` at points (k,) in 3D with the material axes along the columns of rotations (k, 3, 3)."""
+        bond = stress_rotation(axes)
+        own = self.response(np.einsum("kji,kj->ki", bond, strain), np.einsum("kji,kj->ki", axes, field))
+        stress = np.einsum("kij,kj->ki", bond, own.stress)
+        return Response(strain, stress, np.einsum("kij,kj->ki", axes, own.electric_displacement))
+
     def _condensation(self) -> Array:
         """Matrix (3, 5) from the in-plane state to (S33, 2 S23, 2 S13) with T33 = T23 = T13 = 0 and E3 = 0."""
         full = self.constitutive_matrix(3)
         return -np.linalg.solve(full[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)], full[np.ix_(OUT_OF_PLANE, IN_PLANE)])
+
+
+def _upper_triangle(matrix: Array, strains: int, potential_scale: float | None) -> Array:
+    """Upper triangle (..., n), row by row, of matrices (..., m, m) of strains and the field over its scale."""
+    size = strains if potential_scale is None else matrix.shape[-1]
+    scale = np.ones(size)
+    scale[strains:] = potential_scale or 1.0
+    rows, columns = np.triu_indices(size)
+    return scale[rows] * matrix[..., rows, columns] * scale[columns]
 
 
 def _symmetric_matrix(numbers: Any, size: int) -> Any:
@@ -272,12 +299,13 @@ def material_axes(poling: ArrayLike, axis1: ArrayLike | None = None) -> Array:
 
 
 def stress_rotation(rotation: ArrayLike) -> Array:
-    """Bond matrix K (6, 6): T' = K T for the Voigt stress of R T R^T; strains take K^-T."""
+    """Bond matrices K (..., 6, 6) of R (..., 3, 3): T' = K T for the Voigt stress of R T R^T; strains take K^-T."""
     r = np.asarray(rotation, float)
-    bond = np.empty((6, 6))
+    bond = np.empty((*r.shape[:-2], 6, 6))
     for row, (i, j) in enumerate(VOIGT):
         for column, (k, m) in enumerate(VOIGT):
-            bond[row, column] = r[i, k] * r[j, m] + (r[i, m] * r[j, k] if k != m else 0.0)
+            crossed = r[..., i, m] * r[..., j, k] if k != m else 0.0
+            bond[..., row, column] = r[..., i, k] * r[..., j, m] + crossed
     return bond
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,11 +33,12 @@ class CenterResponse:
         kinematics: Kinematics,
         plane: Plane,
         potential_scale: float | None,
+        axes: Mapping[int, Array] | None = None,
     ) -> None:
         """Collective. Arguments: see `piezomat.forms.enthalpy.regions`."""
         self._mesh = w.function_space.mesh
         self._materials, self._cell_material = materials, cell_material
-        self._plane, self._scale = plane, potential_scale
+        self._plane, self._scale, self._axes = plane, potential_scale, axes or {}
         state = strain_and_field(w, kinematics)
         self._state = center_expression(state, self._mesh)
         # A linear law is evaluated from the strain, with the strain out of the plane in plane stress.
@@ -62,7 +63,11 @@ class CenterResponse:
         for number, material in enumerate(self._materials):
             rows = self._cell_material == number
             if isinstance(material, Material):
-                response = material.response(state[rows, :strains], field[rows, :dim], dim, self._plane)
+                given = state[rows, :strains], field[rows, :dim]
+                if number in self._axes:
+                    response = material.response_in(self._axes[number], *given)
+                else:
+                    response = material.response(*given, dim, self._plane)
                 strain[rows], stress[rows], density[rows] = response
                 continue
             values = of_laws[type(material)][rows]

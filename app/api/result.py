@@ -90,8 +90,9 @@ class Result:
         """The bodies at the end of a step (default: the last one that has fields) as a pyvista UnstructuredGrid.
 
         At the points, without load: displacement (um), potential (V). In the cells: stress and strain (xx yy zz yz xz
-        xy, MPa), von_mises, electric_field (V/um), electric_displacement (pC/um2), body: its number in the field data
-        `body_names`. Under mpirun collective, and the same on all ranks. KeyError: the step has no fields.
+        xy, MPa), von_mises, electric_field (V/um), electric_displacement (pC/um2), poling (a unit vector), body: its
+        number in the field data `body_names`. Under mpirun collective, and the same on all ranks. KeyError: the step
+        has no fields.
         """
         piece = self._stored.fields(self._known(step))
         if piece is None:

@@ -13,6 +13,7 @@ from piezomat.discretization.conductors import conductors
 from piezomat.discretization.constraints import Constraints, reference_nodes
 from piezomat.discretization.doubts import doubts
 from piezomat.discretization.loads import Loads
+from piezomat.discretization.material_axes import axes_along_lines
 from piezomat.discretization.prescription import Prescription
 from piezomat.discretization.rigid_bodies import parts_of, unconstrained
 from piezomat.discretization.unknowns import Unknowns
@@ -28,7 +29,8 @@ class Model:
 
     bodies: the mesh with its bodies, parts and facet groups
     mesh, comm, dim: the dolfinx mesh, its communicator and dimension
-    materials: of each body, in global axes
+    materials: of each body, in global axes; in its own where they follow its centre line
+    axes: rotations (n, 3, 3) to the cells of this rank of those bodies, by number; the columns are the material axes
     warnings: doubts about the scene on its mesh, one sentence each
     electric: whether any material has a permittivity, and the model a potential
     kinematics: "small" or "finite"
@@ -59,6 +61,7 @@ class Model:
         dielectrics = [m.mean_permittivity for m in self.materials if not m.conductor]
         largest = max(dielectrics, default=0.0) or VACUUM_PERMITTIVITY
         self.materials = [m.beside(largest) if isinstance(m, Material) else m for m in self.materials]
+        self.axes = axes_along_lines(scene, bodies)
         self.warnings = doubts(scene, bodies, self.materials)
         self.electric = any(m.electric for m in self.materials)
         self.stiffness = max(m.mean_stiffness for m in self.materials)
@@ -70,7 +73,8 @@ class Model:
         self.trial_state = dolfinx.fem.Function(self.unknowns.space)
         self._layout = self.unknowns.empty_vector(self.comm)
         self._ghosted = self.unknowns.ghosted_vector(self.comm)
-        self.regions = regions(self.mesh, self.materials, bodies.cell_body, self.plane, self.potential_scale)
+        materials = self.materials, bodies.cell_body, self.plane, self.potential_scale, self.axes
+        self.regions = regions(self.mesh, *materials)
         has_permittivity = np.array([m.electric for m in self.materials])
         dielectric = self.unknowns.touched(has_permittivity[bodies.cell_body])
         self.parts = parts_of(bodies, self.unknowns)

@@ -8,7 +8,6 @@ from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.materials import VACUUM_PERMITTIVITY
 from piezomat.meshes import parallel
 from piezomat.meshes.body_mesh import BodyMesh
-from piezomat.scene.data import key_of
 from piezomat.scene.errors import named, shown
 from piezomat.scene.scene import Scene
 
@@ -21,7 +20,7 @@ def implausible(scene: Scene, bodies: BodyMesh, materials: list[ConstitutiveLaw]
     """What looks like a number in other units than um, MPa and pC/(V um), or has no effect. Collective."""
     used: dict[str, ConstitutiveLaw] = {}
     for body, law in zip(bodies.bodies, materials, strict=True):
-        used.setdefault(scene.bodies[key_of(body, scene.bodies)], law)
+        used.setdefault(scene.material_name(body), law)
     found = [_extent(bodies), _stiffness(used), _permittivity(used), _poling(scene, used)]
     return [text for text in found if text is not None]
 

@@ -78,7 +78,7 @@ def poling_of(run: RunData, dimension: int) -> Array | None:
         if not (keys or {}).get("piezo") and not (built_in is not None and built_in.is_piezoelectric):
             continue
         poling = (keys or {}).get("poling") or np.eye(3)[dimension - 1]
-        if isinstance(poling, str):  # it follows the fibers
+        if isinstance(poling, str) or (keys or {}).get("axis1") == "along":  # it follows the fibers
             return None
         vector = np.array([*poling, 0.0][:3], float)
         directions.append(vector / np.linalg.norm(vector))

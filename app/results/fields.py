@@ -9,6 +9,7 @@ import ufl
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
+from piezomat.discretization.material_axes import polings
 from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array, Integers
@@ -24,7 +25,7 @@ class FieldOutput:
     """Field pieces of a problem's solutions; cell values are those at the cells' centres.
 
     With finite kinematics they are current quantities: Cauchy stress, spatial field and electric displacement; but the
-    strain is that of Green and Lagrange.
+    strain is that of Green and Lagrange, and the poling that before any load.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -35,8 +36,9 @@ class FieldOutput:
         self._node = np.zeros(len(self._grid.points), np.int64)
         self._node[geometry] = nodes
         arguments = model.regions, model.materials, model.bodies.cell_body, model.kinematics, model.plane
-        self._response = CenterResponse(model.trial_state, *arguments, model.potential_scale)
+        self._response = CenterResponse(model.trial_state, *arguments, model.potential_scale, model.axes)
         self._place_names, self._places = marked_places(model)
+        self._poling = polings(model.scene, model.bodies, model.axes)
         self._gradient: Any = None
         if model.kinematics == "finite":
             gradient = ufl.grad(model.trial_state)
@@ -65,6 +67,7 @@ class FieldOutput:
             model.bodies.cell_body,
             **(electric if model.electric else {}),
             strain=strain,
+            poling=self._poling,
             body_names=tuple(model.bodies.bodies),
             places=self._places[self._node],
             place_names=self._place_names,

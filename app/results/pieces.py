@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from piezomat.forms.arrays import Array, Integers
 from piezomat.results.vtk import ContactPoints, FieldPiece, Grid, IndexEntry, ResultsError
 
-_FIELDS = ("displacement", "potential", "stress", "electric_field", "electric_displacement", "strain", "places")
+_FIELDS = (
+    "displacement",
+    "potential",
+    "stress",
+    "electric_field",
+    "electric_displacement",
+    "strain",
+    "places",
+    "poling",
+)
 _AT_POINTS = ("displacement", "potential", "places")
 
 

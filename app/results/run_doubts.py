@@ -15,7 +15,6 @@ from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.results.vtk import FieldPiece
-from piezomat.scene.data import key_of
 from piezomat.scene.errors import named, shown
 
 LARGE_STRAIN = 0.1  # beyond which small kinematics are off by as much
@@ -43,7 +42,7 @@ class RunDoubts:
         self._largest_potential = 0.0
         self._small = model.kinematics == "small" and any(law.is_linear for law in model.materials)
         scene = model.scene
-        materials = [scene.bodies[key_of(name, scene.bodies)] for name in model.bodies.bodies]
+        materials = [scene.material_name(name) for name in model.bodies.bodies]
         limits = [getattr(scene.materials.get(name), "yield", None) for name in materials]
         self._yield = np.array([np.inf if limit is None else limit for limit in limits])
 

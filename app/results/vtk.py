@@ -25,6 +25,7 @@ COMPONENTS = {
     "strain": STRESSES,
     "electric_field": AXES,
     "electric_displacement": AXES,
+    "poling": AXES,
     "normal": AXES,
 }
 # the file of one rank and one step
@@ -73,8 +74,9 @@ class FieldPiece:
 
     At the grid's points: displacement (n, 3) um, potential (n,) V. In its cells: stress (m, 6) MPa and strain (m, 6),
     which has engineering shears, both in the order 11 22 33 23 13 12; body (m,), its number; electric_field (m, 3)
-    V/um; electric_displacement (m, 3) pC/um2. body_names: by its number. At the points besides: places (n,),
-    whose bit i says whether the point belongs to the boundary or electrode with number i of `place_names`.
+    V/um; electric_displacement (m, 3) pC/um2; poling (m, 3), a unit vector, zero where a material has no axes.
+    body_names: by its number. At the points besides: places (n,), whose bit i says whether the point belongs to the
+    boundary or electrode with number i of `place_names`.
     """
 
     grid: Grid
@@ -85,6 +87,7 @@ class FieldPiece:
     electric_field: NDArray[np.float64] | None = None
     electric_displacement: NDArray[np.float64] | None = None
     strain: NDArray[np.float64] | None = None
+    poling: NDArray[np.float64] | None = None
     body_names: tuple[str, ...] = ()
     places: NDArray[np.integer] | None = None
     place_names: tuple[str, ...] = ()
@@ -106,7 +109,7 @@ class FieldPiece:
         types = np.full(cells, self.grid.cell_type, np.uint8)
         data = pyvista.UnstructuredGrid(padded, types, self.grid.points)
         _attach(data.point_data, len(self.grid.points), self, ("displacement", "potential", "places"))
-        in_cells = ("stress", "von_mises", "strain", "electric_field", "electric_displacement", "body")
+        in_cells = ("stress", "von_mises", "strain", "electric_field", "electric_displacement", "poling", "body")
         _attach(data.cell_data, cells, self, in_cells)
         _name(data, "body_names", self.body_names)
         if self.places is not None:

@@ -7,13 +7,15 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from piezomat.forms.material_library import BUILT_IN
+from piezomat.meshes.builders.frames import tangents
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile
 from piezomat.meshes.names import is_formula
-from piezomat.scene.data import SceneData, key_of
+from piezomat.scene.data import SceneData, in_space, key_of
 from piezomat.scene.errors import SceneError, named, shown, unknown_name
 from piezomat.scene.sections import SIDES, Boundary, Plane
 
 LEAST_SHARE = 1e-3  # of the force on a plane that is along its normal
+LEAST_ACROSS = 0.1  # of a poling across a centre line, as a unit vector: 6 degrees
 OVERLAP = 0.1  # most that bodies may overlap at the start, as a share of the size of the smallest one
 
 
@@ -72,18 +74,46 @@ def gap(scene: SceneData) -> None:
 
 
 def orientations(scene: SceneData) -> None:
-    """Axes of materials have as many components as the scene allows and are not parallel."""
+    """Axes of materials have as many components as the scene allows, a line to follow, and are not parallel."""
     for name, keys in scene.materials.items():
         for key in ("poling", "axis1"):
             direction = getattr(keys, key)
-            if direction is not None and len(direction) < scene.dimension:
+            if isinstance(direction, list) and len(direction) < scene.dimension:
                 raise SceneError(f"materials.{name}.{key}", direction, "3 numbers: the scene is three-dimensional")
-        if keys.axis1 is not None:
+        if keys.follows_line:
+            _check_lines(scene, name)
+        elif keys.axis1 is not None:
             try:
                 scene.oriented(name)
             except ValueError:
                 allowed = f"a direction that is not parallel to poling = {scene.poling(name)}"
                 raise SceneError(f"materials.{name}.axis1", keys.axis1, allowed) from None
+
+
+def _check_lines(scene: SceneData, name: str) -> None:
+    """The bodies of a material whose axes follow centre lines have some, nowhere parallel to a given poling."""
+    keys, poling = scene.materials[name], scene.poling(name)
+    key = "poling" if keys.poling == "across" else "axis1"
+    found = shown(getattr(keys, key))
+    what = "a vector" if key == "poling" else "a vector, or nothing"
+    if scene.dimension == 2:
+        raise SceneError(f"materials.{name}.{key}", found, f"{what}: in two dimensions bodies have no centre line")
+    for body in scene.body_names:
+        if scene.material_name(body) != name:
+            continue
+        if body not in scene.centre_lines:
+            allowed = f"{what}: body {body} has no centre line, which fibers of a built shape alone have"
+            raise SceneError(f"materials.{name}.{key}", found, allowed)
+        if poling != "across":
+            line = tangents(scene.centre_lines[body])
+            across = np.linalg.norm(np.cross(line, in_space(poling)), axis=1) / np.linalg.norm(poling)
+            if across.min() < LEAST_ACROSS:
+                x, y, z = line[across.argmin()]
+                allowed = (
+                    f'"across", or a vector nowhere parallel to the centre line where axis1 is "along": '
+                    f"that of {body} runs along ({x:.3g}, {y:.3g}, {z:.3g}) somewhere"
+                )
+                raise SceneError(f"materials.{name}.poling", poling, allowed)
 
 
 def boundaries(scene: SceneData) -> None:

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple, Union
+from typing import Annotated, Any, Literal, NamedTuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from pydantic import Discriminator, Field, PrivateAttr, Tag
 
 from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.material_library import BUILT_IN
+from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.gmsh_io.mesh_file import MeshFile, read_groups
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.shapes import MeshSizes, catalogue
@@ -143,20 +144,37 @@ class SceneData(Keys):
             return plane.area
         return self.geometry.area
 
+    @cached_property
+    def centre_lines(self) -> Mapping[str, Fiber]:
+        """Centre line of each body that has one, by name."""
+        return {} if isinstance(self.geometry, MeshFile) else self.geometry.centre_lines()
+
+    def material_name(self, body: str) -> str:
+        """Name of the material of a body."""
+        return self.bodies[key_of(body, self.bodies)]
+
     def material(self, body: str) -> ConstitutiveLaw:
-        """The material of a body in global axes."""
-        return self.oriented(self.bodies[key_of(body, self.bodies)])
+        """The material of a body in global axes; in its own axes where they follow the centre line."""
+        return self.oriented(self.material_name(body))
+
+    def follows_line(self, name: str) -> bool:
+        """Whether the axes of a material follow the centre line of each of its bodies."""
+        keys = self.materials.get(name)
+        return keys is not None and keys.follows_line
 
     def oriented(self, name: str) -> ConstitutiveLaw:
-        """A material of the scene, or else a built-in one, with its axes along poling (3) and axis1."""
+        """A material of the scene, or else a built-in one, with its axes along poling (3) and axis1.
+
+        In its own axes where they follow the centre lines.
+        """
         keys = self.materials.get(name)
         material = keys.unrotated() if keys is not None else BUILT_IN[name]
         poling = self.poling(name)
-        if poling is None:
+        if poling is None or self.follows_line(name):
             return material
-        return material.rotated(_in_space(poling), _in_space(keys.axis1 if keys is not None else None))
+        return material.rotated(in_space(poling), in_space(keys.axis1) if keys is not None else None)
 
-    def poling(self, name: str) -> list[float] | None:
+    def poling(self, name: str) -> list[float] | Literal["across"] | None:
         """Direction of axis 3 of a material: as given, or up (y in 2D, z in 3D) where it matters."""
         keys = self.materials.get(name)
         if keys is not None and keys.poling is not None:
@@ -192,6 +210,6 @@ def key_of(body: str, keys: Iterable[str]) -> str | None:
     return body if body in keys else next((key for key in keys if "*" in key and fnmatchcase(body, key)), None)
 
 
-def _in_space(direction: list[float] | None) -> list[float] | None:
+def in_space(direction: list[float] | None) -> list[float] | None:
     """The direction as a 3-vector."""
     return None if direction is None else [*direction, 0.0][:3]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,16 @@ class MaterialKeys(Keys):
         None,
         description="at constant strain, pC/(V um): number, 3 or 3x3; absent: no potential in the body",
     )
-    poling: Direction | None = Field(
+    poling: Direction | Literal["across"] | None = Field(
         None,
-        description="direction of material axis 3; default where piezoelectric: up (y in 2D, z in 3D)",
+        description="direction of material axis 3; default where piezoelectric: up (y in 2D, z in 3D); "
+        '"across": normal to the centre line of each fiber, upward at its start',
     )
-    axis1: Direction | None = Field(None, description="direction of material axis 1, made perpendicular to poling")
+    axis1: Direction | Literal["along"] | None = Field(
+        None,
+        description='direction of material axis 1, made perpendicular to poling; "along": of the centre line of each '
+        "fiber, and poling is made perpendicular to it",
+    )
     conductor: bool | None = Field(
         None, description="true: a metal, of which each body has one potential; it has no permittivity"
     )
@@ -70,8 +75,15 @@ class MaterialKeys(Keys):
             vector = getattr(self, key)
             if vector is not None and not any(vector):
                 raise SceneError(key, vector, "a direction: not the zero vector")
+        if self.poling == "across" and isinstance(self.axis1, list):
+            raise SceneError("axis1", self.axis1, '"along", or nothing, where poling is "across"')
         self.unrotated()
         return self
+
+    @property
+    def follows_line(self) -> bool:
+        """Whether the axes follow the centre line of each body."""
+        return self.poling == "across" or self.axis1 == "along"
 
     def unrotated(self) -> Material:
         """The material in its own axes. Raises SceneError for constants that no stable material has."""

@@ -53,6 +53,8 @@ class Scene(SceneData):
             poling = self.poling(name)
             if poling is not None:
                 table["poling"] = poling
+            if poling == "across":
+                table["axis1"] = "along"
         return scene_file.to_toml(data)
 
     @model_validator(mode="after")

@@ -12,6 +12,7 @@ import gmsh
 import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
+from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.builders.sections import Disc, HalfDisc, Patch, Rectangle
 from piezomat.meshes.builders.sizes import (
     LINE,
@@ -78,6 +79,12 @@ class Body:
     def dimension(self) -> int:
         """2 or 3."""
         return 2 if self.length is None else 3
+
+    @property
+    def centre_line(self) -> Fiber:
+        """The line of the origin of its section along the body, in 3D: the axis of a disc or half disc."""
+        ends = self.frame.place(np.zeros((2, 2)), 0.5 * self.length * np.array([-1.0, 1.0]))
+        return Fiber(self.name, ends, self.radius)
 
 
 def draw(bodies: Sequence[Body], groups: Iterable[str], sizes: MeshSizes) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes.builders.centre_lines import FLUSH_SHARE, RAMP, Face, Fiber
+from piezomat.meshes.builders.frames import frames
 from piezomat.meshes.builders.sections import Disc
 from piezomat.meshes.builders.sizes import Size
 from piezomat.meshes.builders.structured import BOXES, GMSH_TYPE, SIMPLICES, merged
@@ -90,28 +91,6 @@ def sweep(section: Section, fiber: Fiber, along: Array, tensor: bool) -> Swept:
         return (width * (levels[:, None, None] + level) + points).reshape(-1, points.shape[1])
 
     return Swept(x.reshape(-1, 3), stacked(cell), stacked(lateral), (end, end + width * (len(along) - 1)))
-
-
-def frames(fiber: Fiber, along: Array) -> tuple[Array, Array, Array]:
-    """Points (n, 3) of the centre line and two unit vectors (n, 3) across it, which twist as little as possible.
-
-    The second vector starts upward. Each pair is the previous one reflected twice (Wang et al., ACM Trans. Graph. 27,
-    2008).
-    """
-    x, tangent = fiber.curve(along), fiber.curve(along, 1)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    up = np.array([0.0, 0.0, 1.0]) if abs(tangent[0, 2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    t = np.empty_like(x)
-    t[0] = up - (up @ tangent[0]) * tangent[0]
-    t[0] /= np.linalg.norm(t[0])
-    for i in range(len(x) - 1):
-        step = x[i + 1] - x[i]
-        mirrored = t[i] - 2.0 * (step @ t[i]) / (step @ step) * step
-        direction = tangent[i] - 2.0 * (step @ tangent[i]) / (step @ step) * step
-        turn = tangent[i + 1] - direction
-        square = turn @ turn
-        t[i + 1] = mirrored - (2.0 * (turn @ mirrored) / square * turn if square > 0.0 else 0.0)
-    return x, np.cross(t, tangent), t
 
 
 def _turn_into(face: Face, end: int, x: Array, section: Section, fiber: Fiber, along: Array, t: Array) -> None:

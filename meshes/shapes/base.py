@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pydantic import BaseModel, ConfigDict
 
+from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.builders.sizes import MeshSizes
 
 
@@ -27,6 +30,10 @@ class Shape(BaseModel):
     def facet_groups(self) -> tuple[str, ...]:
         """Names of the facet groups."""
         raise NotImplementedError
+
+    def centre_lines(self) -> Mapping[str, Fiber]:
+        """Centre line of each body that has one, by name, which axes of materials may follow; none in 2D."""
+        return {}
 
     def size(self) -> float:
         """Least extent of the smallest body (um)."""

@@ -39,6 +39,9 @@ class FiberShape(Shape):
     def bodies(self) -> tuple[str, ...]:
         return tuple(fiber.name for fiber in self.fibers)
 
+    def centre_lines(self) -> dict[str, Fiber]:
+        return {fiber.name: fiber for fiber in self.fibers} if self.dimension == 3 else {}
+
     def facet_groups(self) -> tuple[str, ...]:
         ends = [end for fiber in self.fibers for end in fiber.points[[0, -1]]]
         found = [name for name in self.end_groups() if any(name in self._groups_of_end(end) for end in ends)]

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from piezomat.meshes.builders.centre_lines import Fiber
 from piezomat.meshes.builders.extrude import Body, Frame, draw
 from piezomat.meshes.builders.sections import Disc, HalfDisc, Rectangle
 from piezomat.meshes.builders.sizes import MeshSizes
@@ -76,7 +77,13 @@ class CrossedFibers(Shape):
     def size(self) -> float:
         return min(self.length, 2 * self.radius if self.whole else self.radius)
 
+    def centre_lines(self) -> dict[str, Fiber]:
+        return {body.name: body.centre_line for body in self._placed()}
+
     def build(self, sizes: MeshSizes) -> None:
+        draw(self._placed(), self.facet_groups(), sizes)
+
+    def _placed(self) -> list[Body]:
         r = self.radius
         bodies = []
         for name, up, far, middle, angle in (
@@ -89,7 +96,7 @@ class CrossedFibers(Shape):
             frame = Frame.upright(0.0, middle, angle)
             ends = (f"{name}_ends",) * 2
             bodies.append(Body(name, section, frame, [(0.0, r if up else -r)], r, self.length, True, ends))
-        draw(bodies, self.facet_groups(), sizes)
+        return bodies
 
 
 class ParallelFibers(Shape):
@@ -128,7 +135,13 @@ class ParallelFibers(Shape):
     def size(self) -> float:
         return 2 * self.radius if self.length is None else min(2 * self.radius, self.length)
 
+    def centre_lines(self) -> dict[str, Fiber]:
+        return {} if self.length is None else {body.name: body.centre_line for body in self._placed()}
+
     def build(self, sizes: MeshSizes) -> None:
+        draw(self._placed(), self.facet_groups(), sizes)
+
+    def _placed(self) -> list[Body]:
         r, stacked = self.radius, self.arrangement == "stacked"
         flanks = self._flanks()
         bodies = []
@@ -146,7 +159,7 @@ class ParallelFibers(Shape):
                 where, contacts = (middle, 0.0), [(s, 0.0) for s in touches]
             frame = Frame.upright(*where, None if self.length is None else 0.0)
             bodies.append(Body(name, section, frame, contacts, r, self.length, ends=(f"{name}_ends",) * 2))
-        draw(bodies, self.facet_groups(), sizes)
+        return bodies
 
 
 class FiberOnBlock(Shape):
@@ -181,14 +194,19 @@ class FiberOnBlock(Shape):
         extents = [self.radius, self.width, self.height]
         return min(extents if self.length is None else [*extents, self.length])
 
+    def centre_lines(self) -> dict[str, Fiber]:
+        return {} if self.length is None else {"fiber": self._placed()[1].centre_line}
+
     def build(self, sizes: MeshSizes) -> None:
+        draw(self._placed(), self.facet_groups(), sizes)
+
+    def _placed(self) -> list[Body]:
         r, length = self.radius, self.length
         angle, sides = (None, ("left", "right")) if length is None else (0.0, ("front", "back"))
         block = Rectangle(self.width, self.height, "bottom", sides[1], "block_contact", sides[0])
         fiber = HalfDisc(r, False, "top", "fiber_contact")
         below, above = Frame.upright(0.0, 0.0, angle), Frame.upright(0.0, r + self.gap, angle)
-        bodies = [
+        return [
             Body("block", block, below, [(0.0, 0.0)], r, length, ends=("left", "right")),
             Body("fiber", fiber, above, [(0.0, -r)], r, length, ends=("fiber_ends",) * 2),
         ]
-        draw(bodies, self.facet_groups(), sizes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from piezomat.forms import materials
 from piezomat.forms.arrays import Array
 from piezomat.forms.material_library import BUILT_IN
 from piezomat.forms.materials import (
@@ -318,3 +319,42 @@ def test_the_mean_stiffness_is_that_of_uniaxial_strain_in_any_direction(rng: np.
     error = np.std(found) / np.sqrt(len(found))
     assert abs(np.mean(found) - material.mean_stiffness) < 4.0 * error
     assert Material.isotropic(2500.0, 0.3).mean_stiffness == pytest.approx(2500.0 * 0.7 / (1.3 * 0.4), rel=1e-14)
+
+
+def rotations(rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+    """Rotations (count, 3, 3), and directions (count, 3) of axes 3 and 1 that lead to them."""
+    polings, firsts = rng.normal(size=(2, count, 3))
+    return np.array([material_axes(p, a) for p, a in zip(polings, firsts, strict=True)]), polings, firsts
+
+
+@pytest.mark.parametrize("scale", [None, 1e4])
+def test_numbers_along_many_axes_are_those_of_the_rotated_materials(
+    scale: float | None, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a material without symmetry, also where the rotations do not all fit into memory at a time."""
+    material = without_symmetry(rng)
+    axes, polings, firsts = rotations(rng, 25)
+    found = material.numbers_in(axes, scale)
+    expected = [material.rotated(*pair).numbers(3, "strain", scale) for pair in zip(polings, firsts, strict=True)]
+    size = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-14)
+    monkeypatch.setattr(materials, "AT_ONCE", 10)
+    np.testing.assert_array_equal(material.numbers_in(axes, scale), found)
+    assert material.numbers_in(axes[:0], scale).shape == (0, found.shape[1])
+
+
+def test_the_response_along_many_axes_is_that_of_the_rotated_materials(rng: np.random.Generator) -> None:
+    material = without_symmetry(rng)
+    axes, polings, firsts = rotations(rng, 25)
+    strain, field = rng.normal(size=(25, 6)), rng.normal(size=(25, 3))
+    found = material.response_in(axes, strain, field)
+    for i in range(len(axes)):
+        expected = material.rotated(polings[i], firsts[i]).response(strain[i], field[i])
+        np.testing.assert_allclose(found.stress[i], expected.stress, atol=1e-12)
+        np.testing.assert_allclose(found.electric_displacement[i], expected.electric_displacement, atol=1e-12)
+
+
+def without_symmetry(rng: np.random.Generator) -> Material:
+    """A stable material all of whose constants differ."""
+    elastic, electric = rng.normal(size=(6, 6)), rng.normal(size=(3, 3))
+    return Material(elastic @ elastic.T + np.eye(6), rng.normal(size=(3, 6)), electric @ electric.T + np.eye(3))

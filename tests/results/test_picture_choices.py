@@ -73,6 +73,8 @@ def test_planes_ground_and_poling(tmp_path: Path) -> None:
     assert poling_of(run, 2).tolist() == [0.0, 1.0, 0.0]
     turned = run.scene | {"materials": {"mine": {"like": "pvdf", "poling": [1, 0]}}, "bodies": {"*": "mine"}}
     assert poling_of(replace(run, scene=turned), 2).tolist() == [1.0, 0.0, 0.0]
+    turned["materials"]["mine"]["axis1"] = "along"
+    assert poling_of(replace(run, scene=turned), 2) is None
     mixed = turned | {"bodies": {"lower": "mine", "upper": "pvdf"}}
     assert poling_of(replace(run, scene=mixed), 2) is None
     figure = draw(run)

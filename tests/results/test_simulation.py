@@ -318,6 +318,7 @@ def test_fields(wanted: str, comm: MPI.Comm, shared_tmp_path: Path) -> None:
             "strain": 6,
             "electric_field": 3,
             "electric_displacement": 3,
+            "poling": 3,
             "body": 1,
         }
         assert {n: piece.cell_data[n].size // piece.n_cells for n in piece.cell_data} == in_cells

@@ -348,6 +348,55 @@ def test_poling() -> None:
     np.testing.assert_allclose(turned.material("upper").piezo, expected.piezo)
 
 
+def test_axes_that_follow_fibers() -> None:
+    def fibers(**material: object) -> Scene:
+        return Scene(
+            geometry={"shape": "crossed_fibers"},
+            mesh={"size": 0.3},
+            materials={"m": {"like": "pvdf", **material}},
+            bodies={"lower": "m", "upper": "elastic"},
+            boundaries=[{"on": "bottom", "displacement": [0, 0, 0]}],
+        )
+
+    across = fibers(poling="across")
+    assert across.follows_line("m") and not across.follows_line("elastic")
+    np.testing.assert_array_equal(across.material("lower").piezo, BUILT_IN["pvdf"].piezo)
+    written = tomllib.loads(across.to_toml())["materials"]["m"]
+    assert (written["poling"], written["axis1"]) == ("across", "along")
+    again = Scene(**tomllib.loads(across.to_toml())).to_toml()
+    assert tomllib.loads(again) == tomllib.loads(across.to_toml())
+    upward = fibers(axis1="along")
+    assert upward.poling("m") == [0.0, 0.0, 1.0] and upward.follows_line("m")
+    with pytest.raises(SceneError, match=r"^materials\.m\.poling: found \[1.0, 0.02, 0.03\]; .*of lower .*\(1, 0, 0\)"):
+        fibers(poling=[1, 0.02, 0.03], axis1="along")
+    assert fibers(poling=[1, 0.2, 0], axis1="along").follows_line("m")
+    with pytest.raises(SceneError, match=r'^materials\.m\.poling: found "acros"; allowed: .*"across"'):
+        fibers(poling="acros")
+    with pytest.raises(SceneError, match=r'^materials\.m\.axis1: .*"along", or nothing'):
+        fibers(poling="across", axis1=[1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("geometry", "body", "why"),
+    [
+        ({"shape": "stacked_blocks", "depth": 1.0}, "lower", "body lower has no centre line"),
+        ({"shape": "fiber_on_block", "length": 1.0}, "block", "body block has no centre line"),
+        ({"shape": "fiber_array", "columns": 2, "rows": 1}, "fiber_1", "in two dimensions"),
+    ],
+)
+@pytest.mark.parametrize("axis", ["poling", "axis1"])
+def test_axes_cannot_follow_what_has_no_centre_line(geometry: dict[str, Any], body: str, why: str, axis: str) -> None:
+    dimension = 2 if geometry["shape"] == "fiber_array" else 3
+    with pytest.raises(SceneError, match=rf"^materials\.m\.{axis}: found .*allowed: a vector.*: .*{why}"):
+        Scene(
+            geometry=geometry,
+            mesh={"size": 0.3},
+            materials={"m": {"like": "pvdf", axis: "across" if axis == "poling" else "along"}},
+            bodies={"*": "elastic", body: "m"},
+            boundaries=[{"on": "surfaces" if dimension == 2 else "bottom", "displacement": [0] * dimension}],
+        )
+
+
 def test_potential_only_where_there_is_permittivity() -> None:
     assert halves().electric
     with pytest.raises(SceneError, match=r"^boundaries\[0\]\.potential: found 0"):
