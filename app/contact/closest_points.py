@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezomat.contact.detected_facets import DetectedFacets
+from piezomat.contact.shared_points import SharedPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
+from piezomat.forms.contact.blending import mean_values
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import Projection, point_normals, project
 from piezomat.forms.contact.integrals import SlavePoints
@@ -69,13 +71,16 @@ class ClosestPoints:
         depth: tuple[float, float],
         position: Array,
         radius: float,
+        *,
+        blended: bool = False,
     ) -> None:
         """Find the near points.
 
         covered (m,): points that can meet something; depth: penetrations (um) up to which closest points are accepted,
-        of another part and of the same part; position (n, d): of the seen nodes; radius: search radius, um.
+        of another part and of the same part; position (n, d): of the seen nodes; radius: search radius, um; blended:
+        whether several facets may share a point near an edge.
         """
-        self.facets, self.points = facets, points
+        self.facets, self.points, self._blended = facets, points, blended
         self._depth, self._self_depth = depth
         here = np.einsum("mk,mkd->md", points.shape, facets.slave_at(position, points.facet))
         masters = facets.master_at(position)
@@ -107,11 +112,11 @@ class ClosestPoints:
             others[near] = np.maximum(others[near], motions[rule.body(component)])
         self.motion += motions[rule.body(slave.component[self.points.facet[self.near]])] + others
 
-    def update(self, position: Array, limits: SearchLimits) -> tuple[Integers, Array, Projection]:
+    def update(self, position: Array, limits: SearchLimits) -> tuple[Integers, Array, Projection, SharedPoints]:
         """Keep master facets as long as points project onto them, search for the others', and project all points.
 
-        position (n, d): of the seen nodes. The projected ones among the near points (r,), their positions (r, d), and
-        their projections (r,).
+        position (n, d): of the seen nodes. The projected ones among the near points (r,), their positions (r, d), their
+        projections (r,) on the facet with the largest share, and those of them that several facets share.
         """
         facets, kind = self.facets, self.facets.kind
         own = self.points.facet[self.near]
@@ -146,8 +151,30 @@ class ClosestPoints:
         points = points[projected]
         projection = self._project(position, points, projected)
         self.xi[projected] = projection.xi
+        shared = self._share(position, points, projected, projection, limits.detection_range)
         self.apart[projected] = projection.gap >= 0.0
-        return projected, points, projection
+        return projected, points, projection, shared
+
+    def _share(
+        self, position: Array, points: Array, projected: Integers, projection: Projection, within: float
+    ) -> SharedPoints:
+        """Points with a gap below `within` (um) that several facets share. Each takes the facet with the largest share.
+
+        Of that facet are facet, xi and projection then, but the gap is the mean one.
+        """
+        near = np.flatnonzero(projection.gap <= within) if self._blended else np.zeros(0, np.int64)
+        slave, facet = self.points.facet[self.near[projected[near]]], self.facet[projected[near]]
+        every = SharedPoints.of(self.facets, position, points[near], slave, facet)
+        rows, largest = near[every.row], every.largest()
+        for name in projection.__dataclass_fields__:
+            getattr(projection, name)[rows] = getattr(every.projection, name)[largest]
+        point = projected[rows]
+        self.overshoot[point[self.facet[point] != every.facet[largest]]] = 0.0
+        self.facet[point], self.xi[point] = every.facet[largest], projection.xi[rows]
+        several = every.of_several()
+        shared = replace(several, row=near[several.row])
+        projection.gap[shared.row] = mean_values(shared.point, shared.share.value, shared.projection.gap)
+        return shared
 
     def _project(self, position: Array, points: Array, some: Integers) -> Projection:
         """Projections of some near points, at `points` (r, d), onto their master facets, from where they were."""

@@ -8,10 +8,11 @@ import numpy as np
 
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.forms.arrays import Array, Booleans, Integers
-from piezomat.forms.contact.facets import FacetKind
+from piezomat.forms.contact.facets import FacetKind, corner_kind
 from piezomat.forms.contact.smoothing import rounded, spread
 from piezomat.meshes.contact.facet_bounds import near_pairs
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
+from piezomat.meshes.contact.joined_facets import JoinedFacets
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.meshes.contact.self_contact import Candidates, ReferenceFacets, SelfContact
 
@@ -26,6 +27,7 @@ class DetectedFacets:
 
     slave_nodes (f, n), master_nodes (g, n): nodes of the facets, numbered as in `SeenNodes`
     self_contact: which facets of the same connected part may meet; None without self-contact
+    joined: the master facets that meet at a node
     """
 
     rule: PairingRule
@@ -34,6 +36,7 @@ class DetectedFacets:
     slave_nodes: Integers
     master_nodes: Integers
     self_contact: SelfContact | None
+    joined: JoinedFacets
 
     @classmethod
     def of(
@@ -56,7 +59,10 @@ class DetectedFacets:
                     for facets, places in ((slave, slave_nodes), (master, master_nodes))
                 )
             )
-        return cls(rule, slave, master, slave_nodes, master_nodes, self_contact)
+        corners = master_nodes[:, : len(corner_kind(slave.kind).nodes)]
+        reference = rounded(slave.kind, nodes.reference[master_nodes], master.rounding)
+        joined = JoinedFacets.of(slave.kind, corners, reference, master.orientation)
+        return cls(rule, slave, master, slave_nodes, master_nodes, self_contact, joined)
 
     @property
     def kind(self) -> FacetKind:

@@ -13,9 +13,11 @@ from piezomat.contact.gap_exchange import GapExchange
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.seen_nodes import SeenNodes
+from piezomat.contact.shared_points import SharedPoints, force_on_master, response_of
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.state import Points, ReadPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
+from piezomat.forms.contact.blending import blended_changes
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import project
 from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, first_changes, nodes_of
@@ -64,6 +66,7 @@ class SurfacePair(ContactPoints):
 
     Valid after an evaluation:
     master_facet (r,): master facet of each projected point
+    shared: the projected points that several master facets share; they are numbered by their place among these
     force (r, d): force that each projected point exerts on the master, uN
     """
 
@@ -79,6 +82,7 @@ class SurfacePair(ContactPoints):
     facets: DetectedFacets = field(init=False)
     closest: ClosestPoints = field(init=False)
     master_facet: Integers = field(init=False)
+    shared: SharedPoints = field(init=False)
     force: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -114,7 +118,10 @@ class SurfacePair(ContactPoints):
         if self.segments:
             self._cut_segments(position, cut_distance)
         depth = self.depth, self.self_depth
-        self.closest = ClosestPoints(self.facets, self.points, self.covered, depth, position, radius)
+        # Segments end at the edges of master facets.
+        blended = not self.segments
+        given = self.facets, self.points, self.covered, depth, position, radius
+        self.closest = ClosestPoints(*given, blended=blended)
         self.near_points = self.closest.near
         if self.exchange is not None:
             self.exchange.detect(self.facets, position, penetration)
@@ -126,7 +133,7 @@ class SurfacePair(ContactPoints):
 
     def update_projections(self, position: Array, limits: SearchLimits) -> None:
         """Find the closest points with the seen nodes at `position` (n, d). LinAlgError: facets have collapsed."""
-        projected, self.position, self.projection = self.closest.update(position, limits)
+        projected, self.position, self.projection, self.shared = self.closest.update(position, limits)
         self.projected_points, self.master_facet = self.near_points[projected], self.closest.facet[projected]
 
     def penetrating_nodes(self, pairs: Pairs, position: Array, depth: float) -> PenetratingNodes:
@@ -142,7 +149,7 @@ class SurfacePair(ContactPoints):
         depths = self.depth, self.self_depth
         closest = ClosestPoints(self.facets, nodes, np.ones(len(nodes.facet), bool), depths, position, max(depths))
         limits = SearchLimits(FINAL_PROJECTION_TOLERANCE, True, 0.0, 0.0, 0.0, depth, 0.0)
-        found, _, projection = closest.update(position, limits)
+        found, _, projection, _ = closest.update(position, limits)
         facet = nodes.facet[closest.near[found]]
         pair, _ = self._pairs_of_facets(pairs, facet, closest.facet[found])
         return PenetratingNodes(pair, -projection.gap, size[facet])
@@ -208,13 +215,9 @@ class SurfacePair(ContactPoints):
 
     def evaluate(self, at: NodalState, *, tangent: bool) -> ContactTerms:
         """Terms of the projected points at the state that they were projected at."""
-        kind, rows, master = self.slave.kind, self.projected_points, self.master_facet
-        facet, xi, shape = self.points.facet[rows], self.points.xi[rows], self.points.shape[rows]
-        self.jump = None
-        if at.potentials is not None and self.law.electric is not None:
-            here, there = self.facets.potentials_at(at.potentials, facet, master)
-            jump = np.einsum("mk,mk->m", shape, here)
-            self.jump = at.scale * (jump - np.einsum("mk,mk->m", kind.shape(self.projection.xi), there))
+        rows = self.projected_points
+        facet, xi = self.points.facet[rows], self.points.xi[rows]
+        self.jump = self._jumps(at) if at.potentials is not None and self.law.electric is not None else None
         shift = self._shift(facet, xi)
         self.gap = self.projection.gap + shift[0]
         r = self.response = self._respond(at, shift)
@@ -227,46 +230,88 @@ class SurfacePair(ContactPoints):
             scaled = Response(**{**r.__dict__, "charge": at.scale * r.charge, "mixed": at.scale * r.mixed})
             scaled.electric_curvature = at.scale**2 * r.electric_curvature
             charge = at.scale * charge
-        scaled = Response(**{name: value[active] for name, value in scaled.__dict__.items()})
-        facet, master = facet[active], master[active]
+        self.force = np.zeros((len(rows), at.position.shape[1]))
+        alone = active.copy()
+        alone[self.shared.row] = False
+        forces = slope, charge
+        terms = [self._terms_of_one_facet(at, np.flatnonzero(alone), scaled, forces, tangent=tangent)]
+        shared = self.shared[np.flatnonzero(active[self.shared.row])]
+        if len(shared.row):
+            facet, shape = self.points.facet[rows], self.points.shape[rows]
+            given = self.facets, at, facet, shape, self.share * self.points.weight[rows], forces, scaled
+            found, pushes = shared.terms(*given, electric=self.jump is not None, tangent=tangent)
+            np.add.at(self.force, shared.row[shared.point], pushes)
+            terms += found
+        if self.exchange is not None:
+            terms.append(self.exchange.evaluate(at, tangent=tangent))
+        return ContactTerms.joined(terms)
+
+    def _jumps(self, at: NodalState) -> Array:
+        """Potential jumps (r,), V."""
+        kind, facet = self.slave.kind, self.points.facet[self.projected_points]
+        here, there = self.facets.potentials_at(at.potentials, facet, self.master_facet)
+        there = np.einsum("mk,mk->m", kind.shape(self.projection.xi), there)
+        s = self.shared
+        if len(s.row):
+            there[s.row] = s.mean_potentials(self.facets, at.potentials, facet)
+        return at.scale * (np.einsum("mk,mk->m", self.points.shape[self.projected_points], here) - there)
+
+    def _terms_of_one_facet(
+        self, at: NodalState, some: Integers, response: Response, first: tuple[Array, Array], *, tangent: bool
+    ) -> ContactTerms:
+        """Terms of `some` of the projected points, each on one master facet; response, first: of all of them."""
+        rows, master = self.projected_points[some], self.master_facet[some]
+        facet = self.points.facet[rows]
+        potentials = self.facets.potentials_at(at.potentials, facet, master)[1] if self.jump is not None else None
         vectors, matrices = contact_vectors(
-            kind,
-            self.projection[active],
-            shape[active],
-            self.share * self.points.weight[rows][active],
-            (slope[active], charge[active]),
-            scaled,
+            self.slave.kind,
+            self.projection[some],
+            self.points.shape[rows],
+            self.share * self.points.weight[rows],
+            (first[0][some], first[1][some]),
+            response_of(response, some),
             at.block_size,
-            there[active] if self.jump is not None else None,
+            potentials,
             tangent=tangent,
             geometric_stiffness=at.mode.consistent,
             roundings=self.facets.roundings_of(facet, master),
         )
-        d = at.position.shape[1]
-        self.force = np.zeros((len(rows), d))
-        self.force[active] = -vectors[:, : vectors.shape[1] // 2, :d].sum(axis=1)
+        self.force[some] = force_on_master(vectors, self.force.shape[1])
         pair = facet * max(len(self.facets.master), 1) + master
-        terms = ContactTerms.summed(pair, self.facets.nodes_of(facet, master), vectors, matrices)
-        if self.exchange is None:
-            return terms
-        return ContactTerms.joined([terms, self.exchange.evaluate(at, tangent=tangent)])
+        return ContactTerms.summed(pair, self.facets.nodes_of(facet, master), vectors, matrices)
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
         """First-order changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
-        rows, master = self.projected_points, self.master_facet
-        facet, there = self.points.facet[rows], None
+        rows, shared = self.projected_points, self.shared
+        kind, changes = self.slave.kind, np.zeros((2, len(rows)))
+        alone = np.ones(len(rows), bool)
+        alone[shared.row] = False
+        some = np.flatnonzero(alone)
+        given = self._given(at, change, rows[some], self.master_facet[some])
+        changes[:, some] = first_changes(kind, self.projection[some], *given[:-1], roundings=given[-1])
+        if len(shared.row):
+            shape, *given = self._given(at, change, rows[shared.row][shared.point], shared.facet)
+            blended = kind, shared.projection, shape, shared.share, shared.point
+            changes[:, shared.row] = blended_changes(*blended, *given[:-1], roundings=given[-1])
+        return changes * [[1.0], [at.scale or 0.0]]
+
+    def _given(
+        self, at: NodalState, change: Array, points: Integers, master: Integers
+    ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
+        """Shape functions, changes of unknowns, potentials and roundings of points (k,) and master facets (k,)."""
+        facet, there = self.points.facet[points], None
         if self.jump is not None:
             there = self.facets.potentials_at(at.potentials, facet, master)[1]
-        nodes, roundings = self.facets.nodes_of(facet, master), self.facets.roundings_of(facet, master)
-        kind, shape = self.slave.kind, self.points.shape[rows]
-        changes = first_changes(kind, self.projection, shape, change[nodes], there, roundings=roundings)
-        return changes * [[1.0], [at.scale or 0.0]]
+        nodes = self.facets.nodes_of(facet, master)
+        return self.points.shape[points], change[nodes], there, self.facets.roundings_of(facet, master)
 
     def facet_pairs_within(self, distance: float) -> Integers:
         """Nodes (k, 2 n) of the pairs of facets with a gap below `distance` (um) plus half a facet."""
-        near = self._near_contact(distance)
-        facet, master = self.points.facet[self.projected_points[near]], self.master_facet[near]
-        pairs = np.unique(np.stack([facet, master], axis=1), axis=0)
+        near, shared = self._near_contact(distance), self.shared
+        also = near[shared.row][shared.point]
+        rows = np.concatenate([np.flatnonzero(near), shared.row[shared.point[also]]])
+        master = np.concatenate([self.master_facet[near], shared.facet[also]])
+        pairs = np.unique(np.stack([self.points.facet[self.projected_points[rows]], master], axis=1), axis=0)
         nodes = self.facets.nodes_of(pairs[:, 0], pairs[:, 1])
         return nodes if self.exchange is None else np.concatenate([nodes, self.exchange.nodes()])
 

@@ -70,6 +70,14 @@ class FacetKind:
             monomials[:, column] = value
         return monomials @ self.coefficients
 
+    @property
+    def sides(self) -> tuple[Array, Array]:
+        """Distances a + b . xi from the sides of the reference facet, one at the opposite end: a (s,), b (s, t)."""
+        rise = np.eye(self.dim)
+        if self.simplex and self.dim == 2:
+            return np.array([0.0, 0.0, 1.0]), np.vstack([rise, [[-1.0, -1.0]]])
+        return np.repeat([0.0, 1.0], self.dim), np.vstack([rise, -rise])
+
     def overshoot(self, xi: Array) -> Array:
         """Distance (m,) of points xi (m, t) beyond the sides of the reference facet; negative inside."""
         upper = 1.0 - (xi.sum(axis=1, keepdims=True) if self.simplex else xi)

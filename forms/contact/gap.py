@@ -155,14 +155,18 @@ class Variations:
 
     rows (m, r, n_pair, c): r vectors over the pair's nodes, slave nodes first, with c unknowns each
     gap, jump (m, r): first variations, coefficients of the rows; jump is None without potentials
+    xi (m, t, r): first variation of the closest point
     gap2, jump2 (m, r, r): second variations, matrices between the rows; None if not computed
+    function2 (m, r, r): second variation of a function of the closest point, the same; None if none was given
     """
 
     rows: Array
     gap: Array
+    xi: Array
     jump: Array | None = None
     gap2: Array | None = None
     jump2: Array | None = None
+    function2: Array | None = None
 
 
 def variations(
@@ -171,6 +175,7 @@ def variations(
     slave_shape: Array,
     components: int,
     potentials: Array | None = None,
+    function: tuple[Array, Array] | None = None,
     *,
     second: bool = True,
 ) -> Variations:
@@ -180,6 +185,7 @@ def variations(
     slave_shape (m, n_s): shape functions of the slave facet at the points
     components: unknowns of a node: displacements and, with potentials, the potential last
     potentials (m, n): nodal values of the master facets
+    function: first and second derivatives (m, t), (m, t, t) of a function of the closest point
     second: whether to compute second variations
     """
     p, t = projection, kind.dim
@@ -193,20 +199,22 @@ def variations(
     a = [space.displacement(both, p.tangents[:, i]) for i in axes]  # relative sliding
     c = [space.displacement(slope[i], p.normal) for i in axes]  # tilt of the facet
     b = space.potential(both) if potentials is not None else None
-    if potentials is not None and second:
-        q = [space.potential(slope[i]) for i in axes]
+    q = [space.potential(slope[i]) for i in axes] if potentials is not None and second else []
+    if second and (potentials is not None or function is not None):
         e = [[space.displacement(slope[i], p.tangents[:, j]) for j in axes] for i in axes]  # stretch of the facet
-        bend = [[np.concatenate([none, kind.shape(p.xi, (i, j))], axis=1) for j in axes] for i in axes]
-        f = [[space.displacement(bend[i][j], p.normal) for j in axes] for i in axes] if not kind.affine else None
+        if not kind.affine:
+            bend = [[np.concatenate([none, kind.shape(p.xi, (i, j))], axis=1) for j in axes] for i in axes]
+            f = [[space.displacement(bend[i][j], p.normal) for j in axes] for i in axes]
 
-    metric = np.einsum("mad,mbd->mab", p.tangents, p.tangents)
-    inverse_metric = np.linalg.inv(metric)
+    metric = p.tangents @ np.swapaxes(p.tangents, 1, 2)
+    inverse = inverse_metric = _inverse(metric)
     gap = p.gap[:, None, None]
-    inverse = np.linalg.inv(metric - gap * p.curvature)
-    n_, a_, c_ = space.unit(n), space.units(a), space.units(c)
+    if not kind.affine:
+        inverse = np.linalg.inv(metric - gap * p.curvature)
+    n_, a_, c_ = space.unit(n), space.unit(a), space.unit(c)
     xi_ = inverse @ (a_ + gap * c_)  # variation of the closest point
 
-    result = Variations(space.rows(), n_)
+    result = Variations(space.rows(), np.broadcast_to(n_, (len(both), n_.shape[1])), xi_)
     if b is not None:
         phi_1 = _gradient(kind, p.xi, potentials)
         result.jump = space.unit(b) - np.einsum("ma,mar->mr", phi_1, xi_)
@@ -214,37 +222,43 @@ def variations(
         return result
 
     # -(a A^-1 k m^-1 a + c A^-1 a + a A^-1 c + g c A^-1 c), symmetric because A = m - g k
-    result.gap2 = -_outer(a_, inverse @ p.curvature @ inverse_metric @ a_)
-    result.gap2 -= _outer(c_, inverse @ a_) + _outer(a_, inverse @ c_) + _outer(c_, gap * (inverse @ c_))
-    if b is None:
+    result.gap2 = -_outer(c_, inverse @ a_ + gap * (inverse @ c_)) - _outer(a_, inverse @ c_)
+    if not kind.affine:
+        result.gap2 -= _outer(a_, inverse @ p.curvature @ inverse_metric @ a_)
+    if b is None and function is None:
         return result
 
-    # Second variation of xi contracted with phi_,a: the derivative of A dxi = a + g c, with mu = phi_,a A^-1.
-    mu = np.einsum("ma,mab->mb", phi_1, inverse)
-    e_ = np.stack([space.units(e[i]) for i in axes], axis=1)
-    mu_e = np.einsum("ma,magr->mgr", mu, e_)  # mu_a e_ag
-    mu_c = np.einsum("ma,mar->mr", mu, c_)
-    mu_k = np.einsum("ma,mab->mb", mu, p.curvature)
-    turn = inverse_metric @ (c_ + p.curvature @ xi_)  # minus the rotation of the normal, in tangents
-    christoffel = np.einsum("mabd,mgd->mabg", p.second, p.tangents)
-    mu_g = np.einsum("ma,mabg->mbg", mu, christoffel)
-    follow = mu_k[:, :, None] * n_[:, None] + mu_g @ inverse_metric @ a_ - np.einsum("ma,mbar->mbr", mu, e_)
-    change = mu_e + np.einsum("ma,mbar->mbr", mu, e_) - mu_k[:, :, None] * n_[:, None]
-    change += np.einsum("ma,magb,mgr->mbr", mu, christoffel, xi_) + np.einsum("ma,mbga,mgr->mbr", mu, christoffel, xi_)
-    change += gap * (mu_g @ turn)
-    if f is not None:
-        f_ = np.stack([space.units(f[i]) for i in axes], axis=1)
+    e_ = space.unit(e)
+    turn = inverse_metric @ c_  # minus the rotation of the normal, in tangents
+    if not kind.affine:
+        f_ = space.unit(f)
+        turn = turn + inverse_metric @ (p.curvature @ xi_)
+        christoffel = np.einsum("mabd,mgd->mabg", p.second, p.tangents)
         third = np.stack([_hessian(kind, p.xi, p.nodes, i) for i in axes], axis=1)
-        mu_f = np.einsum("ma,mabr->mbr", mu, f_)
-        follow += gap * mu_f
-        change -= gap * mu_f
-        change -= gap * np.einsum("ma,mabgd,md,mgr->mbr", mu, third, p.normal, xi_)
-    xi2 = _outer(mu_c[:, None], n_[:, None]) + _outer(n_[:, None], mu_c[:, None])
-    xi2 += _outer(inverse_metric @ mu_e, a_) + _outer(xi_, follow) - _outer(turn, gap * mu_e) - _outer(change, xi_)
 
-    q_ = space.units(q)
-    phi_2 = _hessian(kind, p.xi, potentials)
-    result.jump2 = -_outer(q_, xi_) - _outer(xi_, q_) - _outer(xi_, phi_2 @ xi_) - xi2
+    def second_of_xi(first: Array) -> Array:
+        """Second variation of xi contracted with `first` (m, t), from the derivative of A dxi = a + g c."""
+        mu = np.einsum("ma,mab->mb", first, inverse)
+        mu_c = np.einsum("ma,mar->mr", mu, c_)[:, None]
+        mu_e, e_mu = np.einsum("ma,magr->mgr", mu, e_), np.einsum("ma,mbar->mbr", mu, e_)
+        follow, change = -e_mu, mu_e + e_mu
+        if not kind.affine:
+            mu_k = np.einsum("ma,mab->mb", mu, p.curvature)[:, :, None] * n_[:, None]
+            mu_g, mu_f = np.einsum("ma,mabg->mbg", mu, christoffel), np.einsum("ma,mabr->mbr", mu, f_)
+            follow += mu_k + mu_g @ inverse_metric @ a_ + gap * mu_f
+            change += np.einsum("ma,magb,mgr->mbr", mu, christoffel, xi_) - mu_k
+            change += np.einsum("ma,mbga,mgr->mbr", mu, christoffel, xi_) + gap * (mu_g @ turn)
+            change -= gap * (mu_f + np.einsum("ma,mabgd,md,mgr->mbr", mu, third, p.normal, xi_))
+        xi2 = _outer(mu_c, n_[:, None]) + _outer(n_[:, None], mu_c)
+        xi2 += _outer(inverse_metric @ mu_e, a_) + _outer(xi_, follow)
+        return xi2 - _outer(turn, gap * mu_e) - _outer(change, xi_)
+
+    if function is not None:
+        result.function2 = second_of_xi(function[0]) + _outer(xi_, function[1] @ xi_)
+    if b is not None:
+        q_ = space.unit(q)
+        phi_2 = _hessian(kind, p.xi, potentials)
+        result.jump2 = -_outer(q_, xi_) - _outer(xi_, q_) - _outer(xi_, phi_2 @ xi_) - second_of_xi(phi_1)
     return result
 
 
@@ -253,39 +267,42 @@ def _outer(left: Array, right: Array) -> Array:
     return np.swapaxes(left, 1, 2) @ right
 
 
+def _inverse(matrix: Array) -> Array:
+    """Inverses (m, t, t) of symmetric matrices that are not singular, t = 1 or 2."""
+    if matrix.shape[1] == 1:
+        return 1.0 / matrix
+    (a, b), (_, c) = matrix.transpose(1, 2, 0)
+    return (np.array([[c, -b], [-b, a]]) / (a * c - b * b)).transpose(2, 0, 1)
+
+
 class _Rows:
     """Collection of vectors over the unknowns of m pairs, each represented by a unit vector."""
 
     def __init__(self, pairs: int, nodes: int, components: int) -> None:
         self._shape = (pairs, nodes, components)
-        self._rows: list[Array] = []
+        self._rows: list[tuple[Array, Array | None]] = []
 
     def displacement(self, shape: Array, direction: Array) -> int:
         """Number of the vector shape (m, nodes) times direction (m, d) in the displacements."""
-        row = np.zeros(self._shape)
-        row[:, :, : direction.shape[1]] = shape[:, :, None] * direction[:, None, :]
-        return self._add(row)
+        self._rows.append((shape, direction))
+        return len(self._rows) - 1
 
     def potential(self, shape: Array) -> int:
         """Number of the vector shape (m, nodes) in the potential."""
-        row = np.zeros(self._shape)
-        row[:, :, -1] = shape
-        return self._add(row)
-
-    def _add(self, row: Array) -> int:
-        self._rows.append(row)
+        self._rows.append((shape, None))
         return len(self._rows) - 1
 
-    def unit(self, index: int) -> Array:
-        """Unit vector (m, r) of a row."""
-        vector = np.zeros((self._shape[0], len(self._rows)))
-        vector[:, index] = 1.0
-        return vector
-
-    def units(self, indices: list[int]) -> Array:
-        """Unit vectors (m, k, r) of some rows."""
-        return np.stack([self.unit(i) for i in indices], axis=1)
+    def unit(self, index: int | list) -> Array:
+        """Unit vectors (1, ..., r) of some rows, which are the same for all pairs."""
+        return np.eye(len(self._rows))[np.asarray(index)][None]
 
     def rows(self) -> Array:
         """All rows (m, r, nodes, components)."""
-        return np.stack(self._rows, axis=1)
+        pairs, nodes, components = self._shape
+        every = np.zeros((pairs, len(self._rows), nodes, components))
+        for row, (shape, direction) in enumerate(self._rows):
+            if direction is None:
+                every[:, row, :, -1] = shape
+            else:
+                every[:, row, :, : direction.shape[1]] = shape[:, :, None] * direction[:, None, :]
+        return every

@@ -115,7 +115,7 @@ def contact_vectors(
     along = first[0][:, None] * v.gap
     if v.jump is not None:
         along = along + first[1][:, None] * v.jump
-    rows = _over_unknowns(kind, v.rows, roundings)
+    rows = over_unknowns(kind, v.rows, roundings)
     m, r, nodes, _ = rows.shape
     rows = rows.reshape(m, r, nodes * components)
     vectors = np.einsum("m,mr,mrn->mn", weight, along, rows).reshape(m, nodes, components)
@@ -147,12 +147,12 @@ def first_changes(
     arguments as of `contact_vectors`.
     """
     v = variations(kind, projection, slave_shape, change.shape[2], potentials, second=False)
-    along = np.einsum("mrnc,mnc->mr", _over_unknowns(kind, v.rows, roundings), change)
+    along = np.einsum("mrnc,mnc->mr", over_unknowns(kind, v.rows, roundings), change)
     jump = np.zeros_like(v.gap) if v.jump is None else v.jump
     return np.stack([np.einsum("mr,mr->m", first, along) for first in (v.gap, jump)])
 
 
-def _over_unknowns(kind: FacetKind, rows: Array, roundings: tuple[Array, Array] | None) -> Array:
+def over_unknowns(kind: FacetKind, rows: Array, roundings: tuple[Array, Array] | None) -> Array:
     """Rows (m, r, n_pair, c) in terms of the nodes with unknowns, which are the corners of smoothed facets."""
     if roundings is None or not roundings[0].shape[1]:
         return rows
