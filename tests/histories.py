@@ -13,9 +13,9 @@ EQUAL = 1e-8
 
 
 def scales(rows: Rows) -> dict[str, float]:
-    """The natural scale of every column but `seconds`: of forces, charges, potentials the largest of the run."""
+    """The natural scale of every column but `seconds`: of forces, displacements, charges, potentials the largest."""
     own = {name: max(abs(row[name]) for row in rows) for name in rows[0]}
-    for kinds in (("force_", "contact_force_"), ("charge@",), ("mean_potential@",)):
+    for kinds in (("force_", "contact_force_"), ("displacement_",), ("charge@",), ("mean_potential@",)):
         alike = [name for name in own if name.startswith(kinds)]
         own |= dict.fromkeys(alike, max((own[name] for name in alike), default=0.0))
     for name in own:
