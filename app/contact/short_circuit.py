@@ -1,8 +1,13 @@
-"""Short circuits: electrodes at different potentials that meet, where the charge is that of the penalty alone."""
+"""Short circuits: electrodes at different potentials that meet, where the charge is that of the contact alone.
+
+They may meet by way of other metal: open electrodes, and conductors that float.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from petsc4py import PETSc
@@ -18,7 +23,7 @@ from piezomat.scene.errors import SceneError, shown
 # Potentials that differ by less than this share of the largest voltage are equal.
 EQUAL = 1e-9
 
-# Numbers of boundaries; of planes those after all boundaries; of rows [[electrodes]] those after all planes.
+# Numbers of boundaries; of planes those after all boundaries; of what has one potential each those after all planes.
 Electrodes = tuple[int, int]
 
 
@@ -35,27 +40,29 @@ def check_short_circuit(model: Model, contact: Interfaces, factors: dict[str, fl
     state.array[constraints.fixed[potentials]] = constraints.values(factors)[potentials]
     constraints.expand(state)
     contact.evaluate(state, tangent=False)
-    found = _first(model, contact)
+    found = _first(model, contact, factors)
     state.destroy()
     if found is None:
         return
-    one, other = (_described(model, number, factors) for number in found)
-    section, index = _row(model, max(found))
+    one, other = (_described(model, number, factors) for number in found.electrodes)
+    section, index = _row(model, max(found.electrodes))
     key = f"{section}[{index}]"
+    by = "" if found.directly else " by way of other metal"
     raise SceneError(
         f"{key}.potential",
-        f"{other} in contact with {one}, a short circuit",
+        f"{other} in contact with {one}{by}, a short circuit",
         "one potential where electrodes meet, or contact.electric_penalty = 0, with which no charge passes",
     )
 
 
 def short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) -> str | None:
     """Which electrodes at different potentials met at the last evaluation, in words; None for none. Collective."""
-    found = _first(model, contact) if _possible(model, contact) else None
+    found = _first(model, contact, factors) if _possible(model, contact) else None
     if found is None:
         return None
-    one, other = (_described(model, number, factors) for number in found)
-    return f"{one} and {other} have come into contact, a short circuit, whose charge nothing limits"
+    one, other = (_described(model, number, factors) for number in found.electrodes)
+    by = "" if found.directly else " by way of other metal"
+    return f"{one} and {other} have come into contact{by}, a short circuit, whose charge nothing limits"
 
 
 def _possible(model: Model, contact: Interfaces) -> bool:
@@ -66,18 +73,26 @@ def _possible(model: Model, contact: Interfaces) -> bool:
 
 def _described(model: Model, number: int, factors: dict[str, float]) -> str:
     """An electrode with its potential."""
-    scene, (section, index) = model.scene, _row(model, number)
+    section, index = _row(model, number)
+    row = getattr(model.scene, section)[index]
+    name = row.on if section == "boundaries" else row.name
+    return f"{shown(name)} at {_potential(model, number, factors):g} V"
+
+
+def _potential(model: Model, number: int, factors: dict[str, float]) -> float | None:
+    """The potential that is prescribed there, V; None where none is."""
+    section, index = _row(model, number)
+    rows = getattr(model.scene, section)
+    if index >= len(rows) or rows[index].potential is None:
+        return None
+    row = rows[index]
     if section != "planes":
-        row = scene.boundaries[index] if section == "boundaries" else scene.electrodes[index]
-        name = row.on if section == "boundaries" else row.name
-        return f"{shown(name)} at {load_factor(row, factors) * row.potential:g} V"
-    plane = scene.planes[index]
-    share = factors.get(plane.potential_follows, 0.0) if plane.potential_follows is not None else 1.0
-    return f"{shown(plane.name)} at {share * plane.potential:g} V"
+        return load_factor(row, factors) * row.potential
+    return row.potential * (factors.get(row.potential_follows, 0.0) if row.potential_follows is not None else 1.0)
 
 
 def _row(model: Model, number: int) -> tuple[str, int]:
-    """The section and the row of the scene that a number of an electrode stands for."""
+    """The section and the row of the scene that a number stands for; of a floating conductor there is no such row."""
     boundaries, planes = len(model.scene.boundaries), len(model.scene.planes)
     if number < boundaries:
         return "boundaries", number
@@ -88,61 +103,78 @@ def _row(model: Model, number: int) -> tuple[str, int]:
     )
 
 
-def _first(model: Model, contact: Interfaces) -> Electrodes | None:
-    """The electrodes of the pair with the least numbers between which a charge passes. Collective."""
+@dataclass(frozen=True)
+class _Short:
+    """Two electrodes (lower number, higher) at different potentials; whether they themselves meet."""
+
+    electrodes: Electrodes
+    directly: bool
+
+
+def _first(model: Model, contact: Interfaces, factors: dict[str, float]) -> _Short | None:
+    """The pair with the least numbers of electrodes at different potentials that metal in contact joins. Collective."""
     vector = _electrodes(model)
     electrode = contact.nodes.gather(vector)[:, 0].astype(int) - 1
     vector.destroy()
-    # A potential jump between two prescribed potentials is at least this, V.
-    least = EQUAL * max(model.prescription.largest_voltage(), 1e-300)
-    found = sorted(set(_meeting(model, contact, electrode, least)))
-    every = [pair for some in model.comm.allgather(found[:1]) for pair in some]
-    return min(every, default=None)
+    meeting = set().union(*model.comm.allgather(set(_meeting(model, contact, electrode))))
+    least = EQUAL * model.prescription.largest_voltage()
+    found = []
+    for metal in _joined(meeting):
+        values = {number: _potential(model, number, factors) for number in sorted(metal)}
+        given = [(number, value) for number, value in values.items() if value is not None]
+        found += [(a, b) for (a, va), (b, vb) in combinations(given, 2) if abs(va - vb) > least]
+    if not found:
+        return None
+    return _Short(min(found), min(found) in meeting)
+
+
+def _joined(meeting: set[Electrodes]) -> list[set[int]]:
+    """Sets of numbers that meetings join."""
+    sets: list[set[int]] = []
+    for pair in meeting:
+        touching = [metal for metal in sets if metal & set(pair)]
+        sets = [metal for metal in sets if metal not in touching] + [set(pair).union(*touching)]
+    return sets
 
 
 def _electrodes(model: Model) -> PETSc.Vec:
-    """Number of the electrode that prescribes the potential of a node, plus 1, in a vector like the state."""
+    """Number of the electrode or conductor that a node belongs to, plus 1, in a vector like the state."""
     vector = model.new_vector()
     values = np.zeros((model.unknowns.owned, model.unknowns.block))
     for number, condition in enumerate(model.constraints.conditions):
         fixed = condition.fixed.get(model.dim)
         if fixed is not None:
             values[fixed // model.unknowns.block, 0] = number + 1
-    for e in model.constraints.electrodes:
-        if e.electrode.potential is not None:
-            values[e.nodes, 0] = len(model.scene.boundaries) + len(model.scene.planes) + e.reference + 1
-    for e in model.constraints.conductors:
-        if e.row is not None:
-            values[e.nodes, 0] = e.row + 1
+    for e in model.constraints.equipotentials:
+        own = len(model.scene.boundaries) + len(model.scene.planes) + e.reference
+        values[e.nodes, 0] = 1 + (own if e.row is None else e.row)
     model.unknowns.set_by_node(vector, values)
     return vector
 
 
-def _meeting(model: Model, contact: Interfaces, electrode: Integers, least: float) -> Iterator[Electrodes]:
-    """Numbers of electrodes, (lower, higher), of which facets meet with a jump of the potential and a charge."""
+def _meeting(model: Model, contact: Interfaces, electrode: Integers) -> Iterator[Electrodes]:
+    """Numbers of electrodes and conductors, (lower, higher), of which facets meet, or a charge passes between them."""
     boundaries, planes = len(model.scene.boundaries), len(model.scene.planes)
     of_plane = {plane.name: boundaries + number for number, plane in enumerate(model.scene.planes)}
     for e in model.constraints.electrodes:
-        # A plane of an open electrode prescribes nothing.
-        number = -1 if e.electrode.potential is None else boundaries + planes + e.reference
-        of_plane |= dict.fromkeys(e.planes, number)
+        of_plane |= dict.fromkeys(e.planes, boundaries + planes + e.reference)
     for p in contact.point_sets:
         if p.jump is None or p.response is None:
             continue
-        met = p.response.charge != 0.0
-        if isinstance(p.law.electric, Medium):  # which makes a capacitor of an open gap
-            met &= p.gap <= p.law.equilibrium_gap
-        live = np.flatnonzero((np.abs(p.jump) > least) & met)
+        met = p.gap <= p.law.equilibrium_gap
+        if not isinstance(p.law.electric, Medium):  # which makes a capacitor of an open gap
+            met |= p.response.charge != 0.0
+        live = np.flatnonzero(met)
         ours = electrode[p.slave_nodes[p.points.facet[p.projected_points[live]]]]
         if isinstance(p, RigidPlane):
             theirs = np.full_like(ours, of_plane[p.name])
         else:
             theirs = electrode[p.facets.master_nodes[p.master_facet[live]]]
-        metal = _all_given(ours) & _all_given(theirs)
+        metal = _all_given(ours) & _all_given(theirs) & (ours[:, 0] != theirs[:, 0])
         for pair in np.unique(np.stack([ours[metal, 0], theirs[metal, 0]], axis=1), axis=0):
             yield int(pair.min()), int(pair.max())
 
 
 def _all_given(electrode: Integers) -> Booleans:
-    """Whether all nodes (r, n) of a facet are on an electrode."""
+    """Whether all nodes (r, n) of a facet are of metal."""
     return (electrode >= 0).all(axis=1)

@@ -104,3 +104,37 @@ def test_a_plane_that_meets_an_electrode(comm: MPI.Comm, voltage: float) -> None
         assert caught.value.key == "planes[0].potential"
     else:
         assert run(scene, comm).history
+
+
+@pytest.mark.mpi
+def test_electrodes_that_floating_metal_joins_are_a_short_circuit(comm: MPI.Comm) -> None:
+    """A conductor between two others: alone it takes up the potential of either, together they are one circuit."""
+
+    def metals(upper: float, gap: float, **changes: Any) -> Scene:
+        geometry = {"shape": "stacked_blocks", "height": [0.5] * 3, "gap": gap, "divisions": [[2, 2], [3, 2], [2, 2]]}
+        keys: dict[str, Any] = {
+            "geometry": geometry,
+            "mesh": {"cells": "tensor"},
+            "materials": {"steel": {"young": 2e5, "poisson": 0.3, "conductor": True}},
+            "bodies": {"*": "steel"},
+            "boundaries": [
+                {"on": "bottom", "displacement": [0, 0], "potential": 0},
+                {"on": "block_2_left", "displacement": [0, "free"]},
+                {"on": "block_2_right", "displacement": [0, "free"]},
+                {"on": "top", "displacement": [0, 0], "potential": upper},
+            ],
+            "contact": {},
+            "output": {"fields": "none", "picture": False},
+        }
+        return Scene(**{**keys, **changes})
+
+    words = '"top" at 10 V in contact with "bottom" at 0 V by way of other metal'
+    with pytest.raises(SceneError, match=words) as caught:
+        run(metals(10.0, 0.0), comm)
+    assert caught.value.key == "boundaries[3].potential"
+    assert run(metals(0.0, 0.0), comm).history
+    rows = metals(10.0, 0.01).model_dump(exclude_none=True)["boundaries"]
+    rows[3] |= {"displacement": [0, -0.05], "potential": 10.0, "follows": "press"}
+    load = {"steps": [5], "factors": {"press": [1.0]}}
+    with pytest.raises(NotConverged, match="have come into contact by way of other metal, a short circuit"):
+        run(metals(10.0, 0.01, boundaries=rows, load=load), comm)
