@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from mpi4py import MPI
 
 from piezomat import environment
-from piezomat.cli_paths import check_directory, check_own, check_results, mesh_name, path_of
+from piezomat.cli_paths import check_directory, check_own, check_results, check_study, mesh_name, path_of
 from piezomat.meshes.gmsh_io.model import MeshError
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import ignore_broken_pipes
@@ -98,6 +98,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
         "plan": "what would be modelled and solved, and why; nothing is solved",
         "columns": "the columns of the history of a scene, with units and meanings; nothing is solved",
         "mesh": "write the mesh of a scene",
+        "converge": "accuracy against time on a series of meshes, and the cheapest within a tolerance",
     }
     for name, purpose in of_scene.items():
         command = commands.add_parser(name, help=purpose, description=purpose)
@@ -112,6 +113,11 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
         )
         if name == "run":
             command.add_argument("--out", metavar="DIR", help="default: results/NAME of the scene")
+        if name == "converge":
+            command.add_argument("--within", type=_share, default=0.01, metavar="1%%", help="tolerance; default: 1%%")
+            command.add_argument("--column", nargs="+", default=[], metavar="NAME", help="columns of the history")
+            command.add_argument("--budget", type=float, default=240.0, metavar="S", help="of time, s; default: 240")
+            command.add_argument("--out", metavar="DIR", help="default: results/NAME_converge")
         if name == "mesh":
             command.add_argument("--out", metavar="FILE.msh", required=True)
     for name, purpose in {
@@ -131,6 +137,17 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace | int:
     except SystemExit as stop:
         return int(stop.code or DONE)
     return options
+
+
+def _share(text: str) -> float:
+    """A tolerance such as 1% or 0.01."""
+    try:
+        value = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"found {text}; allowed: a share such as 1% or 0.01")
+    return value
 
 
 def _add_choices(command: argparse.ArgumentParser) -> None:
@@ -230,6 +247,25 @@ def _mesh(options: argparse.Namespace, comm: MPI.Comm) -> int:
     return _done(comm, f"mesh in {out}")
 
 
+def _converge(options: argparse.Namespace, comm: MPI.Comm) -> int:
+    scene = _scene(options, comm)
+    name = f"{scene_file.find(options.scene).stem}_converge"
+    out = Path("results") / name if options.out is None else on_root(comm, lambda: path_of(options.out, "a directory"))
+    on_root(comm, lambda: check_study(out))
+    with _compiled_forms(comm):
+        from piezomat import simulation
+        from piezomat.converge.page import write
+        from piezomat.converge.study import study
+
+        try:
+            found = study(scene, comm, within=options.within, columns=options.column, budget=options.budget)
+        except simulation.NotConverged as error:
+            return _fail(comm, error, NOT_CONVERGED)
+        except simulation.Interrupted as error:
+            return _fail(comm, error, FAILED)
+        return _result(comm, on_root(comm, lambda: write(found, out)))
+
+
 def _view(options: argparse.Namespace, comm: MPI.Comm) -> int:
     on_root(comm, lambda: check_results(options.directory, "history.csv"))
     on_root(comm, lambda: check_own(options.directory, "picture.*", "a picture"))
@@ -264,6 +300,7 @@ _COMMANDS = {
     "plan": _plan,
     "columns": _columns,
     "mesh": _mesh,
+    "converge": _converge,
     "view": _view,
     "report": _report,
     "resume": _resume,

@@ -35,6 +35,14 @@ def check_directory(out: Path, scene: Path) -> None:
     check_free(out)
 
 
+def check_study(out: Path) -> None:
+    """Raise SceneError unless the files of a convergence study can be written to `out`, which need not exist."""
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise SceneError("--out", f"{there}, which is a file", "a directory, new or of an older study")
+    check_writable(there)
+
+
 def check_writable(there: Path) -> None:
     """Raise SceneError unless a file can be made in a directory."""
     try:

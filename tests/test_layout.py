@@ -40,6 +40,7 @@ ORDER = (
         "interrupts",
         "simulation",
         "api",
+        "converge",
         "cli_paths",
         "cli",
         "__main__",

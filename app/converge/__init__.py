@@ -1,0 +1,1 @@
+"""How fine a mesh a scene needs: accuracy against time on a series of meshes."""

@@ -1,0 +1,261 @@
+"""The runs of a convergence study: a scene on a series of meshes, orders 1 and 2, within a budget of time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from piezomat import simulation
+from piezomat.converge.estimate import Estimate, best, limit
+from piezomat.meshes.gmsh_io.mesh_file import MeshFile
+from piezomat.pictures.curves import driver_of, electric_curve
+from piezomat.pictures.data import RunData
+from piezomat.progress import Progress
+from piezomat.scene import Scene, SceneError
+from piezomat.scene.errors import near, shown
+from piezomat.solver.load_steps import steps
+
+COARSEST = 2.0  # times the sizes of the scene
+RATIO = 2.0**0.5  # of the sizes of one mesh and the next
+FINER = 1.25  # least ratio of cells to the mesh before: built meshes come in steps
+GROWTH = 1.6  # power of the unknowns that the time is assumed to grow with
+FIRST_OF_ORDER_2 = 4.0  # times the time of the coarsest mesh of order 1
+MOST = 8  # meshes of one order
+
+
+@dataclass(frozen=True)
+class Level:
+    """One run: what it overrides, sizes, time (s) for the scene's whole load, values by column."""
+
+    order: int
+    overrides: dict[str, Any]
+    cells: int
+    unknowns: int
+    seconds: float
+    values: dict[str, float]
+
+    def size(self, dimension: int) -> float:
+        """Mean size of the cells, in an unit of its own."""
+        return self.cells ** (-1.0 / dimension)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study has found. step: of the scene's load, at which the columns are compared."""
+
+    scene: Scene
+    within: float
+    step: int
+    columns: list[str]
+    levels: list[Level]
+    failures: list[str] = field(default_factory=list)
+    penalty_change: dict[str, float] = field(default_factory=dict)
+
+    def series(self, order: int) -> list[Level]:
+        """The runs of an order, the coarsest first."""
+        return sorted((level for level in self.levels if level.order == order), key=lambda level: level.cells)
+
+    def by_order(self, column: str) -> dict[int, Estimate]:
+        """The limit of a column on the meshes of each order."""
+        found = {}
+        for order in (1, 2):
+            runs = self.series(order)
+            if len(runs) > 1:
+                sizes = [run.size(self.scene.dimension) for run in runs]
+                found[order] = limit(sizes, [run.values[column] for run in runs])
+        return found
+
+    def reference(self, column: str) -> Estimate:
+        """The limit of a column, over both orders."""
+        estimates = list(self.by_order(column).values())
+        if not estimates:
+            return Estimate(self.levels[-1].values[column] if self.levels else float("nan"), float("inf"), None)
+        return best(estimates)
+
+    def error(self, level: Level, column: str) -> float:
+        """Distance of a run from the limit, as a share of the limit."""
+        reference = self.reference(column)
+        return abs(level.values[column] - reference.value) / abs(reference.value) if reference.value else float("nan")
+
+    def uncertainty(self, column: str) -> float:
+        """Uncertainty of the limit as a share of it."""
+        reference = self.reference(column)
+        return reference.uncertainty / abs(reference.value) if reference.value else float("nan")
+
+    def cheapest(self) -> Level | None:
+        """The run that takes least time of those surely within the tolerance in every column; None where none is."""
+        good = [
+            level
+            for level in self.levels
+            if all(self.error(level, column) + self.uncertainty(column) <= self.within for column in self.columns)
+        ]
+        return min(good, key=lambda level: level.seconds, default=None)
+
+    def is_settled(self) -> bool:
+        """Whether a run is surely within the tolerance."""
+        return self.cheapest() is not None
+
+
+def study(
+    scene: Scene,
+    comm: MPI.Comm,
+    *,
+    within: float = 0.01,
+    columns: Sequence[str] = (),
+    budget: float = 240.0,
+    quiet: bool = False,
+) -> Study:
+    """Run a scene on finer and finer meshes until a column's limit is known within the tolerance. Collective.
+
+    The load is that of the scene up to the step at which the force on what moves is largest (the last step where
+    nothing moves), on the coarsest mesh. columns: of the history; by default that force, the voltage or charge, and the
+    elastic energy. budget: seconds after which no run is begun that would exceed it.
+
+    SceneError: the sizes of the mesh are not the scene's to change; a column that the history does not have.
+    """
+    _check_sizes(scene)
+    began = perf_counter()
+    with Progress(comm, f"convergence: {scene.title}", MOST, 0, quiet=quiet) as progress:
+        coarse = Scene.load(scene, _sizes(scene, COARSEST, 1))
+        run = simulation.run(coarse, comm, quiet=True)
+        step = _step(coarse, run.history)
+        names = _columns(coarse, run.history, columns)
+        whole = run.summary["timings"]["total"]
+        share = step / len(run.history)
+        progress.done(f"coarsest mesh: {run.summary['dofs']:,} unknowns, {whole:.1f} s; compared at step {step}")
+        load = _load_until(scene, step)
+        found = Study(scene, within, step, names, [])
+        first = _level(1, _sizes(scene, COARSEST, 1), run.summary, run.history[step - 1], names, whole)
+        found.levels.append(first)
+        scales = {1: COARSEST, 2: COARSEST * RATIO}
+        orders = (1,) if scene.contact is not None and scene.contact.smoothing else (1, 2)
+        open_orders = set(orders)
+        while open_orders and not (found.is_settled() and len(found.series(1)) > 2):
+            order = min(open_orders, key=lambda o: (len(found.series(o)), o))
+            scales[order] /= RATIO
+            before = found.series(order) or [first]
+            left = comm.bcast(budget - (perf_counter() - began))
+            expected = (
+                share
+                * before[-1].seconds
+                * (RATIO**scene.dimension) ** GROWTH
+                * (1.0 if order == before[-1].order else 2.5)
+            )
+            if expected > left or len(found.series(order)) >= MOST:
+                open_orders.remove(order)
+                continue
+            sizes = _sizes(scene, scales[order], order)
+            try:
+                finer = simulation.run(Scene.load(scene, {**sizes, "load": load}), comm, quiet=True)
+            except (simulation.NotConverged, SceneError) as error:
+                found.failures.append(f"{_said(sizes)}: {error}")
+                progress.done(f"{_said(sizes)}: {error}")
+                open_orders.remove(order)
+                continue
+            summary = finer.summary
+            seconds = summary["timings"]["total"] / share
+            level = _level(order, sizes, summary, finer.history[-1], names, seconds)
+            same = found.series(order)
+            if same and level.cells < FINER * same[-1].cells:
+                continue
+            found.levels.append(level)
+            progress.done(f"{_said(sizes)}  {level.unknowns:,} unknowns  {summary['timings']['total']:.1f} s")
+        _ask_penalty(found, comm, load, share, progress)
+    return found
+
+
+def _ask_penalty(found: Study, comm: MPI.Comm, load: dict[str, Any], share: float, progress: Progress) -> None:
+    """A run with ten times the penalty of the scene, where that does not grow with the mesh."""
+    contact = found.scene.contact
+    if contact is None or contact.normal_penalty is None:
+        return
+    level = min(found.levels, key=lambda level: level.seconds)
+    keys = {**level.overrides, "load": load, "contact.normal_penalty": 10.0 * contact.normal_penalty}
+    try:
+        row = simulation.run(Scene.load(found.scene, keys), comm, quiet=True).history[-1]
+    except (simulation.NotConverged, SceneError):
+        return
+    for column in found.columns:
+        if level.values[column]:
+            found.penalty_change[column] = abs(row[column] / level.values[column] - 1.0)
+    progress.done(f"normal_penalty = {10.0 * contact.normal_penalty:g}")
+
+
+def _check_sizes(scene: Scene) -> None:
+    if isinstance(scene.geometry, MeshFile):
+        raise SceneError("geometry.file", "a mesh that is there", "a built shape, whose mesh sizes can be changed")
+    if scene.mesh.size is None or getattr(scene.geometry, "divisions", None) is not None:
+        raise SceneError("mesh.size", "a mesh whose cells are counted", "a built shape with mesh.size")
+
+
+def _sizes(scene: Scene, scale: float, order: int) -> dict[str, Any]:
+    """Overrides for a mesh of these sizes, times those of the scene."""
+    size, fine = scene.mesh.size, scene.mesh.contact_size or scene.mesh.size
+    return {
+        "mesh.size": float(f"{min(scale * size, 2 * size):.4g}"),
+        "mesh.contact_size": float(f"{min(scale * fine, scale * size, 2 * size):.4g}"),
+        "mesh.order": order,
+    }
+
+
+def _load_until(scene: Scene, step: int) -> dict[str, Any]:
+    """The scene's load up to a step: whole stages, and the part of the last one."""
+    every = list(steps(scene.load))
+    chosen = every[:step]
+    counts: dict[int, int] = {}
+    for taken in chosen:
+        counts[taken.stage] = counts.get(taken.stage, 0) + 1
+    ends = np.cumsum(list(counts.values())) - 1
+    factors = {name: [chosen[end].after[name] for end in ends] for name in scene.load.factors}
+    return {"steps": list(counts.values()), "factors": factors}
+
+
+def _as_run(scene: Scene, history: list[dict[str, Any]]) -> RunData:
+    tables = scene.model_dump(mode="json", exclude_none=True)
+    return RunData(scene.title, history, None, None, None, (scene.body_names, [p.name for p in scene.planes]), tables)
+
+
+def _step(scene: Scene, history: list[dict[str, Any]]) -> int:
+    """The step with the largest force on what moves; the last one where nothing does."""
+    run = _as_run(scene, history)
+    driver = driver_of(run)
+    if driver is None:
+        return len(history)
+    force = np.abs(run.column(driver.force))
+    return int(force.argmax()) + 1 if force.max() > 0.0 else len(history)
+
+
+def _columns(scene: Scene, history: list[dict[str, Any]], wanted: Sequence[str]) -> list[str]:
+    known = list(history[0])
+    for name in wanted:
+        if name not in known:
+            raise SceneError(
+                "--column", shown(name), f"a column of the history{near(name, known)}: see piezomat columns"
+            )
+    if wanted:
+        return list(wanted)
+    run = _as_run(scene, history)
+    driver, electric = driver_of(run), electric_curve(run)
+    names = [driver.force if driver is not None else None, electric.column if electric is not None else None, "elastic"]
+    return [name for name in names if name is not None and any(row[name] for row in history)]
+
+
+def _level(
+    order: int,
+    overrides: Mapping[str, Any],
+    summary: Mapping[str, Any],
+    row: Mapping[str, Any],
+    columns: Sequence[str],
+    seconds: float,
+) -> Level:
+    values = {name: float(row[name]) for name in columns}
+    return Level(order, dict(overrides), summary["cells"], summary["dofs"], seconds, values)
+
+
+def _said(overrides: Mapping[str, Any]) -> str:
+    return " ".join(f"{key}={value:g}" for key, value in overrides.items())
