@@ -102,7 +102,7 @@ class RunDoubts:
             size = f"lower mesh.contact_size to {scene.sizes.contact_size * least / FEW_FACETS:.1g}"
         name = shown(self.problem.contact.pairs.result_name(number))
         return (
-            f"the contact {name} is {least:.2g} facets wide{others}: its largest pressure and the voltage are those of "
+            f"the contact {name} is {least:.2g} facet{'s' * (least > 1.05)} wide{others}: its largest pressure and the voltage are those of "
             f"the mesh; {size} for {FEW_FACETS} facets"
         )
 

@@ -182,6 +182,32 @@ def test_capacitance_with_a_plane_by_force_is_that_at_the_force() -> None:
     assert abs(held["capacitance"] - slope) > 1e-2 * slope
 
 
+@pytest.mark.slow
+def test_open_voltage_and_charge_of_plies_under_a_pressure() -> None:
+    """Lid and floor are electrodes: the charge of a short circuit is V (C + C'), with a capacitor and without."""
+
+    def plies(lid: dict[str, Any], capacitance: float | None = None) -> dict[str, Any]:
+        circuits = [] if capacitance is None else [{"between": ["metal", "ground"], "capacitance": capacitance}]
+        scene = press(
+            {"shape": "cross_ply", "width": 4.0, "depth": 4.0, "radius": 0.5, "spacing": 2.0},
+            mesh={"size": 0.6, "contact_size": 0.3, "cells": "tensor"},
+            bodies={"*": "pvdf"},
+            boundaries=[{"on": "ends", "displacement": [0, 0, "free"]}],
+            planes=[{"name": "floor", "point": "bottom"}, {"name": "lid", "point": "top", "pressure": 0.01}],
+            electrodes=[{"name": "ground", "on": ["floor"], "potential": 0}, {"name": "metal", "on": ["lid"], **lid}],
+            circuits=circuits,
+            contact={"smoothing": True},
+        )
+        return last(scene, MPI.COMM_SELF)
+
+    isolated, short, connected = plies({}), plies({"potential": 0.0}), plies({}, 1e-4)
+    for row in (isolated, short, connected):
+        assert row["force_z@lid"] == pytest.approx(-0.01 * 16.0, rel=1e-8)
+    mean = 0.5 * (isolated["capacitance"] + short["capacitance"])
+    assert isolated["voltage@metal"] * mean == pytest.approx(-short["charge@metal"], rel=1e-6)
+    assert connected["voltage@metal"] * (mean + 1e-4) == pytest.approx(-short["charge@metal"], rel=1e-6)
+
+
 # --- Rigid boundaries
 
 
