@@ -101,9 +101,10 @@ class RunDoubts:
         if not isinstance(scene.geometry, MeshFile):
             size = f"lower mesh.contact_size to {scene.sizes.contact_size * least / FEW_FACETS:.1g}"
         name = shown(self.problem.contact.pairs.result_name(number))
+        wide = f"{least:.2g} facet{'s' * (least > 1.05)} wide{others}"
         return (
-            f"the contact {name} is {least:.2g} facet{'s' * (least > 1.05)} wide{others}: its largest pressure and the voltage are those of "
-            f"the mesh; {size} for {FEW_FACETS} facets"
+            f"the contact {name} is {wide}: its largest pressure and the voltage are those of the mesh; {size} for "
+            f"{FEW_FACETS} facets"
         )
 
     def _compare_forces(self) -> None:
