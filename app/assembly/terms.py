@@ -13,13 +13,15 @@ from piezomat.discretization.model import Model
 from piezomat.discretization.term import AssembledTerm
 
 NewTerm = Callable[[Model], AssembledTerm]
+# Of every problem beside those below, which nothing else asks for by name.
+FURTHER: tuple[NewTerm, ...] = ()
 
 
 @dataclass(frozen=True)
 class Terms:
     """The assembled terms, in the order in which they are summed. By name for results and for the solver's rules.
 
-    further: of a user's script
+    further: those of `FURTHER` and of a user's script
     """
 
     bulk: Bulk
@@ -32,7 +34,7 @@ class Terms:
     def of(cls, model: Model, further: tuple[NewTerm, ...] = ()) -> Terms:
         """The terms of a model. Collective."""
         own = Bulk(model), Circuits(model), NodalLoads(model), StabilizationStiffness(model)
-        return cls(*own, tuple(new(model) for new in further))
+        return cls(*own, tuple(new(model) for new in (*FURTHER, *further)))
 
     def __iter__(self) -> Iterator[AssembledTerm]:
         return iter((self.bulk, self.circuits, self.loads, self.stabilization, *self.further))
