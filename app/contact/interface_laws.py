@@ -57,8 +57,9 @@ class GapMedium:
 def gap_medium(model: Model) -> GapMedium | None:
     """The medium in the gaps of a model; None where it has no potential, or no medium.
 
-    Potentials that strain causes do not pull on bodies that contact alone holds: the force is a thousandth of those of
-    contact, but Newton's method follows each free fiber that it moves (a mat: 39 iterations of a step instead of 14).
+    Without two prescribed potentials, charges do not pull on bodies that contact alone holds: the potentials of
+    their strain do so with a thousandth of the forces of contact, but Newton's method follows each free fiber that it
+    moves (a mat: 39 iterations of a step instead of 14).
     """
     keys = model.scene.contact or ContactKeys()
     if not model.electric or keys.medium == "none":
@@ -73,7 +74,7 @@ def gap_medium(model: Model) -> GapMedium | None:
     least = float(thickness.min())
     if reach is None:
         reach = getattr(model.scene.geometry, "radius", 0.5 * least)
-    pulls = not model.has_unconstrained_bodies or voltage > 0.0
+    pulls = not model.has_unconstrained_bodies or len(model.scene.potentials) > 1
     return GapMedium(permittivity, gap, reach, pulls, voltage, least)
 
 
@@ -90,11 +91,14 @@ def equal_potential(
     size: Array,
     stiffness: Array,
     permittivity: Array,
+    *,
+    driven: bool,
     adhesion: AdhesionLaw | None = None,
 ) -> EqualPotential | None:
     """The law without a medium, of points with these facet sizes, stiffnesses, permittivities (m,) and adhesion.
 
-    voltage: largest difference of prescribed potentials, V. None with an electric penalty of zero.
+    voltage: largest difference of prescribed potentials, V; driven: whether there are two, be they equal or not
+    None with an electric penalty of zero.
     """
     if keys.electric_penalty == 0.0:
         return None
@@ -106,7 +110,7 @@ def equal_potential(
     else:
         fade = np.maximum(FADE * size, stable_electric_range(voltage, permittivity, stiffness))
     # The range that keeps surfaces at a voltage apart from pulling each other in was measured beyond touch.
-    beyond = (voltage > 0.0 and keys.electric_range is None) or isinstance(adhesion, CohesiveLaw)
+    beyond = (driven and keys.electric_range is None) or isinstance(adhesion, CohesiveLaw)
     return EqualPotential(electric, fade, 0.0 if beyond else -0.5)
 
 

@@ -132,11 +132,24 @@ class Interfaces(Term):
         # Facets that come nearer than this in a step are cut when it has ended.
         cut_distance = self.interaction_range + 0.5 * self._search.mean_facet_size + 4.0 * self.last_penetration
         for p, seen in zip(self.surface_pairs, masters, strict=True):
-            given = search_radius, cut_distance, 2.0 * self.last_penetration
+            given = search_radius, cut_distance, self._accepted_penetration
             p.detect(seen, self.nodes, position, geodesic, *given)
         for plane in self.planes:
             plane.detect(self.nodes, position, max(search_radius, AHEAD * plane.law.interaction_range))
         self._search.restart(displacement, search_radius)
+
+    def renew_partners(self, state: PETSc.Vec) -> bool:
+        """Find anew what faces what across open gaps, at a state within the search radius; False if nothing can."""
+        position = self.nodes.reference + self.nodes.gather(state)[:, : self.dim]
+        pairs = [p for p in self.surface_pairs if p.exchange is not None]
+        for p in pairs:
+            p.exchange.detect(p.facets, position, self._accepted_penetration)
+        return len(pairs) > 0
+
+    @property
+    def _accepted_penetration(self) -> float:
+        """Depth up to which points of closed gaps have partners, um: on the way to equilibrium they may be deeper."""
+        return max(2.0 * self.last_penetration, 0.5 * self.mean_facet_size)
 
     @property
     def detected_positions(self) -> Array:
