@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf
@@ -76,11 +77,13 @@ class Switch:
     values: dict[str, Any]
 
     def set(self) -> None:
-        """Change the constants; AttributeError where the module has no such name."""
+        """Change the constants, also where other modules have imported them; AttributeError for an unknown name."""
         module = importlib.import_module(f"piezomat.{self.module}")
         for name, value in self.values.items():
-            getattr(module, name)
-            setattr(module, name, value)
+            before = getattr(module, name)
+            for other in [m for m in sys.modules.values() if getattr(m, "__name__", "").startswith("piezomat.")]:
+                if vars(other).get(name) is before:
+                    setattr(other, name, value)
 
 
 def _off() -> Iterator[Switch]:
@@ -109,6 +112,7 @@ SCALED = {
     "contact.interface_laws": ["FADE", "NEAR"],
     "contact.search": ["DRIFT", "MARGIN"],
     "contact.setup": ["NEAR"],
+    "contact.shared_points": ["REACH"],
     "contact.surface_pair": ["CUT_DRIFT"],
     "solver.active_set_prediction": ["PREDICTION_TOLERANCE", "POOR_STEP"],
     "solver.coarse_space": ["AGGREGATE_NODES", "RELAXATION", "SAFETY"],

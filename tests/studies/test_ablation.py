@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ NOT_TUNED = {
     "rounding": "ROUNDING SAME_DIRECTION BALANCED EQUAL DEPENDENT FAR_GAP TINY",
     "accuracy of what is reported, not of the solution": "TOLERANCE ACCURACY CLOSE_TOLERANCE SNAPPED",
     "limits of memory and of what is listed": "CHUNK LISTED_BODIES",
-    "words of a warning or of a reason": "FAR WANDERING DEEP DEEPER PULLED_IN CLOSE LEAST",
+    "words of a warning or of a reason": "FAR WANDERING DEEP DEEPER PULLED_IN CLOSE LEAST LEAST_SHARE",
     "which solver: measured where they stand": (
         "DIRECT_LIMIT_3D LOOSE_LIMIT_3D CONDENSED_SHARE CONDENSED_ALWAYS CANDIDATE_LIMIT CONDENSED_LIMIT"
     ),
@@ -65,9 +66,19 @@ def test_each_switch_changes_a_constant(switch: object, monkeypatch: pytest.Monk
     for name, value in switch.values.items():
         before = getattr(module, name)
         assert before != value
-        monkeypatch.setattr(module, name, before)  # which is put back after the test
+        for other in [m for m in sys.modules.values() if vars(m).get(name) is before]:
+            monkeypatch.setattr(other, name, before)  # which is put back after the test
     switch.set()
     assert {name: getattr(module, name) for name in switch.values} == switch.values
+
+
+def test_a_switch_reaches_the_modules_that_import_a_constant(monkeypatch: pytest.MonkeyPatch) -> None:
+    switch = next(s for s in switches() if "FINAL_PROJECTION_TOLERANCE" in s.values)
+    importers = [importlib.import_module(f"piezomat.contact.{name}") for name in ("closest_points", "search")]
+    for module in importers:
+        monkeypatch.setattr(module, "FINAL_PROJECTION_TOLERANCE", module.FINAL_PROJECTION_TOLERANCE)
+    switch.set()
+    assert {module.FINAL_PROJECTION_TOLERANCE for module in importers} == set(switch.values.values())
 
 
 def test_names_are_unique_and_cases_are_scenes() -> None:
