@@ -19,7 +19,7 @@ READMES = sorted(
     for path in (ROOT.glob("README.md") if folder == "." else (ROOT / folder).rglob("README.md"))
 )
 LONGEST = 180  # lines of README.md
-MADE_BY_THE_READER = {"study.py"}
+MADE_BY_THE_READER = {"study.py", "mat", "short"}
 FOLDERS = ("app/", "forms/", "meshes/", "scripts/", "tests/")
 SCENES = {*scene_file.examples(), "mine.toml", "SCENE"}
 
@@ -113,7 +113,7 @@ def test_commands(readme: str) -> None:
         called = re.match(r"(?:\S*/)?piezomat (\w+)(?: (?!-)(\S+))?", command)
         if called:
             assert called[1] in cli._COMMANDS, command
-            assert called[2] is None or called[2] in SCENES | {"DIR"}, command
+            assert called[2] is None or called[2] in SCENES | {"DIR"} | MADE_BY_THE_READER, command
 
 
 def test_the_commands_of_the_program() -> None:

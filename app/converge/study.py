@@ -24,7 +24,6 @@ COARSEST = 2.0  # times the sizes of the scene
 RATIO = 2.0**0.5  # of the sizes of one mesh and the next
 FINER = 1.25  # least ratio of cells to the mesh before: built meshes come in steps
 GROWTH = 1.6  # power of the unknowns that the time is assumed to grow with
-FIRST_OF_ORDER_2 = 4.0  # times the time of the coarsest mesh of order 1
 MOST = 8  # meshes of one order
 
 
@@ -132,22 +131,16 @@ def study(
         found = Study(scene, within, step, names, [])
         first = _level(1, _sizes(scene, COARSEST, 1), run.summary, run.history[step - 1], names, whole)
         found.levels.append(first)
-        scales = {1: COARSEST, 2: COARSEST * RATIO}
         orders = (1,) if scene.contact is not None and scene.contact.smoothing else (1, 2)
-        open_orders = set(orders)
-        while open_orders and not (found.is_settled() and len(found.series(1)) > 2):
-            order = min(open_orders, key=lambda o: (len(found.series(o)), o))
-            scales[order] /= RATIO
-            before = found.series(order) or [first]
+        # Cells of order 2 have twice as many nodes along each edge.
+        scales = {order: order * COARSEST for order in orders}
+        scales[1] /= RATIO
+        while scales and not (found.is_settled() and len(found.series(1)) > 2):
+            costs = {order: share * _expected(found, order, scales[order]) for order in scales}
+            order = min(costs, key=costs.__getitem__)
             left = comm.bcast(budget - (perf_counter() - began))
-            expected = (
-                share
-                * before[-1].seconds
-                * (RATIO**scene.dimension) ** GROWTH
-                * (1.0 if order == before[-1].order else 2.5)
-            )
-            if expected > left or len(found.series(order)) >= MOST:
-                open_orders.remove(order)
+            if comm.bcast(costs[order]) > left or len(found.series(order)) >= MOST:
+                del scales[order]
                 continue
             sizes = _sizes(scene, scales[order], order)
             try:
@@ -155,8 +148,9 @@ def study(
             except (simulation.NotConverged, SceneError) as error:
                 found.failures.append(f"{_said(sizes)}: {error}")
                 progress.done(f"{_said(sizes)}: {error}")
-                open_orders.remove(order)
+                del scales[order]
                 continue
+            scales[order] /= RATIO
             summary = finer.summary
             seconds = summary["timings"]["total"] / share
             level = _level(order, sizes, summary, finer.history[-1], names, seconds)
@@ -167,6 +161,15 @@ def study(
             progress.done(f"{_said(sizes)}  {level.unknowns:,} unknowns  {summary['timings']['total']:.1f} s")
         _ask_penalty(found, comm, load, share, progress)
     return found
+
+
+def _expected(found: Study, order: int, scale: float) -> float:
+    """Time for the whole load that a mesh is expected to take, from that of the finest one so far of its order."""
+    runs = found.series(order) or found.series(1)[:1]
+    last = runs[-1]
+    size = found.scene.mesh.contact_size or found.scene.mesh.size
+    finer = (last.overrides["mesh.contact_size"] / last.order) / (scale * size / order)
+    return last.seconds * finer ** (found.scene.dimension * GROWTH)
 
 
 def _ask_penalty(found: Study, comm: MPI.Comm, load: dict[str, Any], share: float, progress: Progress) -> None:

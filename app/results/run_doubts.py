@@ -174,7 +174,8 @@ class RunDoubts:
             place
             for place, name in columns.items()
             if place in places - given - electrode_groups
-            and max(abs(row[name]) for row in history) < ZERO * self._largest_potential
+            # exactly zero: the place is on a body without potential
+            and 0.0 < max(abs(row[name]) for row in history) < ZERO * self._largest_potential
         ]
 
 
