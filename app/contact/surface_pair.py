@@ -118,8 +118,8 @@ class SurfacePair(ContactPoints):
         if self.segments:
             self._cut_segments(position, cut_distance)
         depth = self.depth, self.self_depth
-        # Segments end at the edges of master facets.
-        blended = not self.segments
+        # Segments end at the edges of master facets. With a medium a scene of self-contact fails to converge.
+        blended = not self.segments and self.exchange is None
         given = self.facets, self.points, self.covered, depth, position, radius
         self.closest = ClosestPoints(*given, blended=blended)
         self.near_points = self.closest.near

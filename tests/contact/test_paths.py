@@ -83,7 +83,7 @@ def test_mirror_symmetry_where_a_node_is_over_a_vertex(factor: float, passes: in
     scene = pressed(
         2,
         mesh={"size": 0.2, "contact_size": 0.06, "cells": "tensor", "size_factors": {"upper": factor}},
-        contact={"method": "node", "passes": passes},
+        contact={"method": "node", "passes": passes, "medium": "none"},
     )
     for row in run(scene, comm).history:
         assert abs(row["force_x@top"]) < 1e-9 * abs(row["force_y@top"])
