@@ -91,13 +91,11 @@ def equal_potential(
     size: Array,
     stiffness: Array,
     permittivity: Array,
-    *,
-    driven: bool,
     adhesion: AdhesionLaw | None = None,
 ) -> EqualPotential | None:
     """The law without a medium, of points with these facet sizes, stiffnesses, permittivities (m,) and adhesion.
 
-    voltage: largest difference of prescribed potentials, V; driven: whether there are two, be they equal or not
+    voltage: largest difference of prescribed potentials, V
     None with an electric penalty of zero.
     """
     if keys.electric_penalty == 0.0:
@@ -110,7 +108,7 @@ def equal_potential(
     else:
         fade = np.maximum(FADE * size, stable_electric_range(voltage, permittivity, stiffness))
     # The range that keeps surfaces at a voltage apart from pulling each other in was measured beyond touch.
-    beyond = (driven and keys.electric_range is None) or isinstance(adhesion, CohesiveLaw)
+    beyond = (voltage > 0.0 and keys.electric_range is None) or isinstance(adhesion, CohesiveLaw)
     return EqualPotential(electric, fade, 0.0 if beyond else -0.5)
 
 

@@ -208,7 +208,6 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
     high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
     voltage, medium = model.prescription.largest_voltage(), gap_medium(model)
-    driven = len(model.scene.potentials) > 1
     electrodes = model.constraints.electrodes
     nodes = {name: model.unknowns.reference_node(e.reference) for e in electrodes for name in e.planes}
     pushed = {p.plane.name: p for p in model.constraints.pushed}
@@ -220,7 +219,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
         if is_electrode and medium is not None:
             electric, _, _ = medium.laws(size, stiffness, permittivity)
         elif is_electrode:
-            electric = equal_potential(keys, voltage, size, stiffness, permittivity, driven=driven)
+            electric = equal_potential(keys, voltage, size, stiffness, permittivity)
         push = pushed.get(plane.name)
         found.append(
             RigidPlane(
@@ -324,8 +323,8 @@ def _pass(
     if all(m.electric for m in materials):
         medium = gap_medium(model)
         if medium is None:
-            voltage, driven = model.prescription.largest_voltage(), len(model.scene.potentials) > 1
-            electric = equal_potential(keys, voltage, size, stiffness, permittivity, driven=driven, adhesion=adhesion)
+            voltage = model.prescription.largest_voltage()
+            electric = equal_potential(keys, voltage, size, stiffness, permittivity, adhesion)
         else:
             _, electric, _ = medium.laws(size, stiffness, permittivity)
             of_facets = (np.full(len(sizes), least) for least in (softest, least_permittivity))

@@ -53,8 +53,8 @@ class RunDoubts:
         if contact is not None:
             self._touched |= contact.touching_bodies()
             self._compare_forces()
-            for number, across in facets_across(contact).items():
-                self._across[number] = max(across, self._across.get(number, across), key=lambda a: a.force)
+            for pair, across in facets_across(contact).items():
+                self._across[pair] = max(across, self._across.get(pair, across), key=lambda a: a.force)
             found += new_warnings(contact, self._unseen)
         if model.electric:
             potential = self.problem.solution().x.array.reshape(-1, model.unknowns.block)[:, model.dim]
@@ -99,7 +99,7 @@ class RunDoubts:
         others = f", and {few - 1} other{'s' if few > 2 else ''} less than {FEW_FACETS}" if few > 1 else ""
         size = "make the facets of the mesh there smaller"
         if not isinstance(scene.geometry, MeshFile):
-            size = f"lower mesh.contact_size to {scene.sizes.contact_size * least / FEW_FACETS:.1g}"
+            size = f"lower mesh.contact_size to {_rounded_down(scene.sizes.contact_size * least / FEW_FACETS)}"
         name = shown(self.problem.contact.pairs.result_name(number))
         wide = f"{least:.2g} facet{'s' * (least > 1.05)} wide{others}"
         return (
@@ -194,3 +194,9 @@ def largest_strain(strain: Array) -> Array:
 
 def _bodies(names: list[str]) -> str:
     return f"bod{'ies' if len(names) > 1 else 'y'} {named([shown(name) for name in names])}"
+
+
+def _rounded_down(value: float) -> str:
+    """A positive number with two digits, none larger."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.floor(value / unit + 1e-9) * unit:.2g}"
