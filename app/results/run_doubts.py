@@ -99,7 +99,7 @@ class RunDoubts:
         others = f", and {few - 1} other{'s' if few > 2 else ''} less than {FEW_FACETS}" if few > 1 else ""
         size = "make the facets of the mesh there smaller"
         if not isinstance(scene.geometry, MeshFile):
-            size = f"lower mesh.contact_size to {_rounded_down(scene.sizes.contact_size * least / FEW_FACETS)}"
+            size = f"lower mesh.contact_size to {rounded_down(scene.sizes.contact_size * least / FEW_FACETS)}"
         name = shown(self.problem.contact.pairs.result_name(number))
         wide = f"{least:.2g} facet{'s' * (least > 1.05)} wide{others}"
         return (
@@ -196,7 +196,7 @@ def _bodies(names: list[str]) -> str:
     return f"bod{'ies' if len(names) > 1 else 'y'} {named([shown(name) for name in names])}"
 
 
-def _rounded_down(value: float) -> str:
-    """A positive number with two digits, none larger."""
+def rounded_down(value: float) -> str:
+    """A positive number as text of two digits, at most the number itself."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return f"{np.floor(value / unit + 1e-9) * unit:.2g}"
