@@ -344,6 +344,9 @@ def _pass(
         depth=depth,
         self_depth=self_depth,
         segments=keys.method == "segment",
+        # Segments end at the edges of master facets. Of 18 runs of two discs of 30 to 60 facets, nodes with a medium,
+        # pressed by up to a third of their thickness, two did not converge with shared nodes, and all did without.
+        blended=keys.method == "point" or (keys.method == "node" and exchange is None),
         exchange=exchange,
     )
 

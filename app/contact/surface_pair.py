@@ -57,6 +57,7 @@ class SurfacePair(ContactPoints):
     depth: penetration (um) beyond which a point has come from the far side of a body and meets nothing
     self_depth: the same in its own part, which is thinner than it seems if it is bent
     segments: whether slave facets are cut into segments
+    blended: whether master facets share points near their edges, see `SharedPoints`
     exchange: charges across open gaps, which the points leave out; None without a medium
 
     Valid after a detection:
@@ -77,6 +78,7 @@ class SurfacePair(ContactPoints):
     depth: float
     self_depth: float
     segments: bool = False
+    blended: bool = False
     exchange: GapExchange | None = None
     covered: Booleans = field(init=False)
     facets: DetectedFacets = field(init=False)
@@ -118,10 +120,8 @@ class SurfacePair(ContactPoints):
         if self.segments:
             self._cut_segments(position, cut_distance)
         depth = self.depth, self.self_depth
-        # Segments end at the edges of master facets. With a medium a scene of self-contact fails to converge.
-        blended = not self.segments and self.exchange is None
         given = self.facets, self.points, self.covered, depth, position, radius
-        self.closest = ClosestPoints(*given, blended=blended)
+        self.closest = ClosestPoints(*given, blended=self.blended)
         self.near_points = self.closest.near
         if self.exchange is not None:
             self.exchange.detect(self.facets, position, penetration)

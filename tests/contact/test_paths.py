@@ -16,10 +16,11 @@ from tests.scenes import pressed
 pytestmark = pytest.mark.mpi
 
 AXES = "xyz"
-LAW = {"passes": 1, "normal_penalty": 1e5, "electric_penalty": 0.1, "electric_range": 0.002}
+AIR: dict[str, Any] = {"passes": 1, "normal_penalty": 1e5}
+LAW = AIR | {"electric_penalty": 0.1, "electric_range": 0.002}
 
 
-def crossed(size: float, steps: int, sideways: tuple[float, float], *, smoothing: bool = False, **keys: Any) -> Scene:
+def crossed(size: float, steps: int, sideways: tuple[float, float], **keys: Any) -> Scene:
     """Half cylinders of tetrahedra, one pass, with several facets across the contact."""
     return Scene(
         geometry={"shape": "crossed_fibers"},
@@ -29,10 +30,9 @@ def crossed(size: float, steps: int, sideways: tuple[float, float], *, smoothing
             {"on": "bottom", "displacement": [0.0, 0.0, 0.0], "potential": 0.0},
             {"on": "top", "displacement": [*sideways, -0.05], "follows": "press"},
         ],
-        contact=LAW | {"smoothing": smoothing},
         load={"steps": [steps], "factors": {"press": [1.0]}},
         output={"fields": "none", "picture": False},
-        **keys,
+        **{"contact": LAW, **keys},
     )
 
 
@@ -52,14 +52,20 @@ def shared(result: Run) -> int:
 
 
 @pytest.mark.parametrize(
-    ("size", "sideways", "smoothing"),
-    [(0.07, (0.0, 0.0), False), (0.06, (0.01, 0.0), False), (0.07, (0.01, 0.0), True)],
+    ("size", "sideways", "contact"),
+    [
+        (0.07, (0.0, 0.0), LAW),
+        (0.06, (0.01, 0.0), LAW),
+        (0.07, (0.01, 0.0), LAW | {"smoothing": True}),
+        (0.07, (0.0, 0.0), AIR),
+        (0.06, (0.01, 0.0), AIR),
+    ],
 )
 def test_two_paths_end_alike_on_all_ranks(
-    size: float, sideways: tuple[float, float], smoothing: bool, comm: MPI.Comm
+    size: float, sideways: tuple[float, float], contact: dict[str, Any], comm: MPI.Comm
 ) -> None:
     """Points stayed on facets that they had left: 4e-4 in force, a third of the force sideways, 2.5e-4 in potential."""
-    given = {"smoothing": smoothing, "solver": {"kind": "direct", "tolerance": 1e-10}}
+    given = {"contact": contact, "solver": {"kind": "direct", "tolerance": 1e-10}}
     one = answer(run(crossed(size, 3, sideways, **given), MPI.COMM_SELF).history)
     result = run(crossed(size, 5, sideways, **given), comm)
     assert shared(result) > 5

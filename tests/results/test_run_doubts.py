@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.results.run_doubts import rounded_down, largest_strain
+from piezomat.results.run_doubts import largest_strain, rounded_down
 from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.scenes import pressed
