@@ -20,8 +20,8 @@ from piezomat.solver.outcome import NewtonReport, SolveError
 
 MAX_PROJECTION_REPAIRS = 3  # of one solve
 MAX_SEGMENT_REPAIRS = 4  # of one solve
-# Of one solve. With the partners of a residual of 1e-2, the potential of crossed fibers differed by 1e-3 between three
-# steps and five.
+# Of one solve. With the partners of the start of a step the charge of half discs depends on the size of the step by
+# 1 %; with those of a residual of 1e-2, the potential of crossed fibers by 1e-3.
 MAX_PARTNER_REPAIRS = 3
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 FLIPS = "a point flips between two facets: it is in equilibrium on neither (contact.smoothing joins flat ones)"

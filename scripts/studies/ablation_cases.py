@@ -121,7 +121,7 @@ SCALED = {
     "solver.first_contact": ["FIRST"],
     "solver.line_search": ["SLOPE_REDUCTION", "CONVERGING", "UPHILL_GROWTH", "JUMP"],
     "solver.multigrid": ["START_TOLERANCE", "LOOSE_TOLERANCE"],
-    "solver.newton": ["ATTRACTION", "CONSISTENT", "CONSISTENT_UNCONSTRAINED"],
+    "solver.newton": ["ATTRACTION", "CONSISTENT", "CONSISTENT_UNCONSTRAINED", "SETTLED"],
     "solver.snap_through": ["VISCOSITY", "REDUCTION"],
     "solver.stabilization_continuation": [
         "LARGEST_LOAD_SHARE",

@@ -82,7 +82,7 @@ def test_bodies_that_share_nodes_alone(comm: MPI.Comm, shared_tmp_path: Path) ->
 def rubber(ratio: float, **changes: Any) -> Scene:
     keys: dict[str, Any] = {
         "geometry": {"shape": "fiber_on_block", "radius": 0.5, "width": 2.0, "height": 1.0},
-        "mesh": {"size": 0.3, "contact_size": 0.1},
+        "mesh": {"size": 0.3, "contact_size": 0.09},
         "materials": {"rubber": {"young": 2.0, "poisson": ratio}},
         "bodies": {"fiber": "elastic", "block": "rubber"},
         "boundaries": [{"on": "bottom", "displacement": [0, 0]}, {"on": "top", "displacement": [0, -0.05]}],

@@ -39,7 +39,7 @@ def orders(residuals: list[float]) -> list[float]:
     return [
         float(np.log(r[i + 1] / r[i]) / np.log(r[i] / r[i - 1]))
         for i in range(1, len(r) - 1)
-        if r[i - 1] < 0.1 and r[i] < 0.1 * r[i - 1] and 1e-11 < r[i + 1]
+        if r[i - 1] < 0.1 and r[i] < 0.1 * r[i - 1] and 1e-11 < r[i + 1] < r[i]
     ]
 
 
