@@ -147,7 +147,7 @@ def adhesion_law(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> AdhesionL
 def facet_sizes(facets: SlaveFacets) -> Array:
     """Length (f,) of each facet, or the side of a square of its area, um."""
     points = quadrature_points(facets.kind, facets.reference)
-    area = np.bincount(points.facet, points.weight, minlength=len(facets))
+    area = np.bincount(points.facet, points.weight, minlength=len(facets)).astype(float)  # of none, integers
     if facets.kind.dim == 1:
         return area
     return np.sqrt(2.0 * area if facets.kind.simplex else area)

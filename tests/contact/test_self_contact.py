@@ -150,7 +150,7 @@ def pressed_hairpin(path: Path, cells: str = "tensor", bodies: str = "a", **cont
             {"name": "lid", "point": "top", "motion": [0, 0, -0.4], "follows": "press"},
         ],
         contact={"smoothing": True, "self_contact": True, **contact},
-        load={"steps": [2], "factors": {"press": [1.0]}},
+        load={"steps": [4], "factors": {"press": [1.0]}},
         solver={"tolerance": 1e-11},
         output=QUIET,
     )
