@@ -162,7 +162,7 @@ class _Session:
         self.summary: dict[str, Any] = {}
         self.history: list[dict[str, Any]] = []
         self.capacitance: list[list[list[float]]] = []
-        self._doubts = RunDoubts(self.problem, lambda: self._field_output().piece())
+        self._doubts = RunDoubts(self.problem)
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
         self._scene_text = text_of(self.scene)
@@ -242,7 +242,7 @@ class _Session:
                     break
                 self._record(step, report, self.comm.bcast(perf_counter() - began))
                 progress.step(self.history[-1])
-                for text in self._doubts.step(step.number):
+                for text in self._doubts.step(step.number, lambda: self._field_output().piece()):
                     progress.warn(text)
                 if report.is_erratic:
                     erratic.append(str(step.number))

@@ -25,13 +25,10 @@ ZERO = 1e-6  # of the largest potential in the bodies
 
 
 class RunDoubts:
-    """Looks at each step that has converged, and at the end at all of them. Collective.
+    """Looks at each step that has converged, and at the end at all of them. Collective."""
 
-    fields: computes this rank's fields of the present state; asked for only where a doubt needs them.
-    """
-
-    def __init__(self, problem: Problem, fields: Callable[[], FieldPiece]) -> None:
-        self.problem, self.fields = problem, fields
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
         model = problem.model
         self._touched: set[int] = set()
         self._unseen: set[int] = set()
@@ -46,8 +43,11 @@ class RunDoubts:
         limits = [getattr(scene.materials.get(name), "yield", None) for name in materials]
         self._yield = np.array([np.inf if limit is None else limit for limit in limits])
 
-    def step(self, number: int) -> list[str]:
-        """The new doubts at the end of a step."""
+    def step(self, number: int, fields: Callable[[], FieldPiece]) -> list[str]:
+        """The new doubts at the end of a step.
+
+        fields: computes this rank's fields of the present state; called only where a doubt needs them.
+        """
         found: list[str] = []
         model, contact = self.problem.model, self.problem.contact
         if contact is not None:
@@ -61,7 +61,7 @@ class RunDoubts:
             here = np.array([model.potential_scale * np.abs(potential).max(initial=0.0)])
             self._largest_potential = max(self._largest_potential, float(parallel.largest(model.comm, here)[0]))
         if self._small or np.isfinite(self._yield).any():
-            found += self._of_fields(self.fields(), number)
+            found += self._of_fields(fields(), number)
         return found
 
     def end(self, history: list[dict[str, Any]]) -> list[str]:
