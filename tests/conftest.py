@@ -14,6 +14,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import logging
 import random
 import subprocess
 import sys
@@ -156,6 +157,16 @@ def _told(report: pytest.TestReport) -> str:
 def pytest_unconfigure() -> None:
     # A rank that ends with failed tests ends all: rank 0 must have written its report by then.
     _completed(GUARD.Ibarrier(), PATIENCE_AFTER_FAILURE)
+
+
+@pytest.fixture(autouse=True)
+def _log_as_it_was() -> Generator[None]:
+    """The command line keeps the log to itself: a later test in the same process would hear nothing."""
+    log = logging.getLogger("piezomat")
+    before = log.level, log.propagate, list(log.handlers)
+    yield
+    log.setLevel(before[0])
+    log.propagate, log.handlers = before[1], before[2]
 
 
 @pytest.fixture(autouse=True)
