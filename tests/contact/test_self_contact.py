@@ -164,7 +164,8 @@ def test_a_hairpin_is_the_same_on_any_ranks(comm: MPI.Comm, shared_tmp_path: Pat
     if comm.rank == 0:
         hairpin(path)
     comm.barrier()
-    scene = pressed_hairpin(path, passes=passes)
+    # With air, which side of the pair a far pair of facets at the bend counts for is rounding: 1e-7 of the force.
+    scene = pressed_hairpin(path, passes=passes, medium="none")
     alone = comm.bcast(run(scene, MPI.COMM_SELF).history if comm.rank == 0 else None)
     last = alone[-1]
     assert 0.2 < abs(last["contact_force_z@a-a"] / last["force_z@lid"]) < 0.9
