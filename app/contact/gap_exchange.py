@@ -18,7 +18,7 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import point_normals
-from piezomat.forms.contact.integrals import SlavePoints, quadrature_points
+from piezomat.forms.contact.integrals import SlavePoints, facet_areas, quadrature_points
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.medium import Medium
 from piezomat.forms.contact.laws.response import History, Response
@@ -86,11 +86,10 @@ class GapExchange:
 
     def __post_init__(self) -> None:
         kind = self.slave.kind
-        every = quadrature_points(kind, self.slave.reference)
-        area = np.bincount(every.facet, every.weight, minlength=len(self.slave))
+        area = facet_areas(kind, self.slave.reference)
         facets, middle = np.arange(len(self.slave)), np.tile(kind.middle, (len(self.slave), 1))
         self._middles = SlavePoints(facets, 0 * facets, middle, kind.shape(middle), area, area)
-        self._every = every
+        self._every = quadrature_points(kind, self.slave.reference)
         self.response: Response | None = None
 
     @property

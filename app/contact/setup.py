@@ -26,7 +26,7 @@ from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.contact.facets import corner_kind
-from piezomat.forms.contact.integrals import SlavePoints, nodal_points, quadrature_points
+from piezomat.forms.contact.integrals import SlavePoints, facet_areas, nodal_points, quadrature_points
 from piezomat.forms.contact.laws.electric import ElectricLaw
 from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.meshes import parallel
@@ -186,9 +186,8 @@ def _fiber_thickness(model: Model) -> Array:
     """
     bodies = model.bodies
     outside = surface(model.unknowns.space, "outside", exterior_facets(model.mesh), bodies.order)
-    points = quadrature_points(outside.kind, outside.reference)
-    part, parts = bodies.cell_part[outside.cells[points.facet]], len(bodies.part_bodies)
-    area = parallel.total(model.comm, np.bincount(part, points.weight, parts))
+    part, parts = bodies.cell_part[outside.cells], len(bodies.part_bodies)
+    area = parallel.total(model.comm, np.bincount(part, facet_areas(outside.kind, outside.reference), parts))
     volume = parallel.total(model.comm, np.bincount(bodies.cell_part, cell_volumes(model.mesh), parts))
     return 2.0 * (model.dim - 1) * volume / area
 

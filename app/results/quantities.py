@@ -191,6 +191,13 @@ RIGID = Group(
     lambda at: travels(at.problem, at.step.after),
     [Quantity("travel@{place}", "um", "how far a rigid boundary has moved along its force", lambda value: value)],
 )
+FACETS_ACROSS = Quantity(
+    "facets_across@{place}",
+    "",
+    "least number of facets across a place of contact that carries 5 % of the load or more; 0 without any, and on flat "
+    "faces",
+    attrgetter("facets_across"),
+)
 PLANE = Group(
     "P",
     lambda problem: [plane.name for plane in problem.model.scene.planes],
@@ -202,13 +209,7 @@ PLANE = Group(
         Quantity("force_{axis}@{place}", "uN", "force that the plane exerts on the bodies", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area that touches the plane", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
-        Quantity(
-            "facets_across@{place}",
-            "",
-            "least number of facets across a place of contact that carries 5 % of the load or more; 0 without any, and "
-            "on flat faces",
-            attrgetter("facets_across"),
-        ),
+        FACETS_ACROSS,
         Quantity(
             "max_penetration@{place}",
             "um",
@@ -264,13 +265,7 @@ PAIR = Group(
         Quantity("contact_force_{axis}@{place}", "uN", "force on the first body of the pair", attrgetter("force")),
         Quantity("contact_area@{place}", "um2", "area where the gap is closed", attrgetter("area")),
         Quantity("max_pressure@{place}", "MPa", "largest contact pressure", attrgetter("max_pressure")),
-        Quantity(
-            "facets_across@{place}",
-            "",
-            "least number of facets across a place of contact that carries 5 % of the load or more; 0 without any, and "
-            "on flat faces",
-            attrgetter("facets_across"),
-        ),
+        FACETS_ACROSS,
         Quantity(
             "max_penetration@{place}",
             "um",

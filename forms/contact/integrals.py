@@ -40,6 +40,12 @@ def _surface_metric(kind: FacetKind, xi: Array, nodes: Array) -> Array:
     return np.sqrt(np.linalg.det(tangents @ np.swapaxes(tangents, 2, 3)))
 
 
+def facet_areas(kind: FacetKind, nodes: Array) -> Array:
+    """Areas (facets,), um2 (2D: lengths, um), of facets with undeformed nodes (facets, n, d), um."""
+    xi, weight = kind.quadrature()
+    return (_surface_metric(kind, xi, nodes) * weight).sum(axis=1)
+
+
 def quadrature_points(kind: FacetKind, nodes: Array) -> SlavePoints:
     """Gauss points of facets with undeformed nodes (facets, n, d), um."""
     xi, weight = kind.quadrature()
