@@ -3,8 +3,8 @@
 A test marked `mpi` is collective: it runs on one rank and, under mpirun, on any number of ranks. The guard
 makes every rank run the same tests, counts a test that failed on one rank as failed on all, shows that
 rank's traceback on rank 0, and ends the whole run when a rank has failed and the others wait for it. Tests
-without the mark are left out on more than one rank. With --share-cases 3 and 4 ranks run half of a test's cases each.
-Rank 0 alone writes.
+without the mark are left out on more than one rank. With --share-cases 2, 3 and 4 ranks each run a third of a
+test's cases. Rank 0 alone writes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import sys
 import time
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def bare_environment() -> dict[str, str]:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--share-cases", action="store_true", help="3 and 4 ranks run half of a test's cases each")
+    parser.addoption("--share-cases", action="store_true", help="2, 3 and 4 ranks each run a third of a test's cases")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -81,21 +81,27 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if WORLD.size == 1:
         return
-    chosen = [item.nodeid for item in items if item.get_closest_marker("mpi") is not None]
-    if config.option.share_cases and WORLD.size > 2:
-        chosen = half(chosen, WORLD.size % 2)
-    names = set(chosen)
+    parallel = [item for item in items if item.get_closest_marker("mpi") is not None]
+    names = {item.nodeid for item in parallel}
+    if config.option.share_cases:
+        slow = {item.nodeid for item in parallel if item.get_closest_marker("slow") is not None}
+        names = set(third([item.nodeid for item in parallel], slow, WORLD.size % 3))
     config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in names])
     items[:] = [item for item in items if item.nodeid in names]
 
 
-def half(names: Sequence[str], part: int) -> list[str]:
-    """Of each test that has several cases one half of them (part 0 or 1), mixed but always alike; all other tests."""
+def third(names: Sequence[str], slow: Set[str], part: int) -> list[str]:
+    """A third of the cases of each test (part 0, 1 or 2), mixed but always alike; a test of one case, unless slow."""
     cases = defaultdict(list)
     for name in names:
         cases[name.partition("[")[0]].append(name)
-    mixed = [sorted(group, key=lambda name: zlib.crc32(name.encode())) for group in cases.values()]
-    return [name for group in mixed for name in (group[part::2] if len(group) > 1 else group)]
+    chosen = []
+    for test, group in cases.items():
+        # Tests of two cases begin in different parts, or one part would have fewer of them.
+        mixed = sorted(group, key=lambda name: zlib.crc32(name.encode()))
+        mine = mixed[(part - zlib.crc32(test.encode())) % 3 :: 3]
+        chosen += group if len(group) == 1 and not slow.intersection(group) else mine
+    return chosen
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from tests.conftest import half, launched_ranks
+from tests.conftest import launched_ranks, third
 
 
 @pytest.mark.mpi
@@ -23,15 +23,15 @@ def test_every_rank_runs_the_same(comm: MPI.Comm, shared_tmp_path: Path, rng: np
     assert len(list(shared_tmp_path.iterdir())) == comm.size
 
 
-def test_three_and_four_ranks_share_the_cases_of_a_test() -> None:
-    tests = {"a.py::one": ["a.py::one"], "a.py::two": [f"a.py::two[{x}-{y}]" for x in "pqr" for y in (1, 2)]}
+def test_two_three_and_four_ranks_share_the_cases_of_a_test() -> None:
+    tests = {"a.py::two": [f"a.py::two[{x}-{y}]" for x in "pqr" for y in (1, 2)]}
     tests["b.py::two"] = ["b.py::two[0]", "b.py::two[1]"]
-    names = [name for cases in tests.values() for name in cases]
-    parts = [half(names, part) for part in (0, 1)]
+    shared = [name for cases in tests.values() for name in cases] + ["a.py::slow"]
+    parts = [third([*shared, "a.py::one"], {"a.py::slow"}, part) for part in range(3)]
     assert all("a.py::one" in part for part in parts)
-    assert sorted(parts[0] + parts[1]) == sorted([*names, "a.py::one"])
-    assert [sum(name.startswith("a.py::two") for name in part) for part in parts] == [3, 3]
-    assert [sum(name.startswith("b.py::two") for name in part) for part in parts] == [1, 1]
+    assert sorted(name for part in parts for name in part) == sorted([*shared, *["a.py::one"] * 3])
+    assert [sum(name.startswith("a.py::two") for name in part) for part in parts] == [2, 2, 2]
+    assert sorted(sum(name.startswith("b.py::two") for name in part) for part in parts) == [0, 1, 1]
 
 
 @pytest.mark.parametrize(
