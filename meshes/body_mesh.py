@@ -59,7 +59,7 @@ def create(
     """Build or read a mesh on rank 0 and distribute it. Collective.
 
     `save` writes it as MSH 4.1 too. `partition(centroids, bodies, ranks)` is called on rank 0 with arrays
-    (cells, dim) and (cells,) and returns the rank of each cell; without it the graph of cells is partitioned.
+    (cells, dim) and (cells,) and returns the rank of each cell; without it each rank takes equally many cells.
     Raises MeshError on all ranks.
     """
     with blaming(geometry.file) if isinstance(geometry, MeshFile) else nullcontext():

@@ -1,7 +1,7 @@
 """The answer depends neither on the number of ranks nor on which rank holds which cells.
 
 Every history column of a run on all ranks is compared with a serial run of the same scene. The mesh is cut in
-strips through both bodies and the contact zone, or by the graph partitioner, or so that a rank holds no cell.
+strips through both bodies and the contact zone, or in the order of the cells, or so that a rank holds no cell.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def a_body_a_rank(centroids: NDArray[np.float64], bodies: NDArray[np.int32], ran
 
 CUTS: dict[str, Partition | None] = {
     "strips": strips,
-    "graph": None,
+    "cell order": None,
     "an empty rank": none_on_the_first,
     "a body a rank": a_body_a_rank,
 }
@@ -167,10 +167,10 @@ CUTS: dict[str, Partition | None] = {
 CASES = [("triangles", "strips"), ("multigrid", "strips")]
 if MPI.COMM_WORLD.size > 1:
     CASES = [(scene, "strips") for scene in SCENES]
-    CASES += [(scene, "graph") for scene in ("triangles", "quadrilaterals of order 2", "tetrahedra", "bricks")]
+    CASES += [(scene, "cell order") for scene in ("triangles", "quadrilaterals of order 2", "tetrahedra", "bricks")]
     some = ("triangles", "a floating block", "tetrahedra", "segments", "smoothed")
     CASES += [(scene, "an empty rank") for scene in some]
-    CASES += [("finite kinematics", "a body a rank"), ("multigrid", "graph")]
+    CASES += [("finite kinematics", "a body a rank"), ("multigrid", "cell order")]
 serial: dict[str, Rows] = {}
 
 
