@@ -33,7 +33,9 @@ from scripts.studies.other_programs import PROGRAMS, installed
 from scripts.studies.two_fibers import Cost, Failed, measured, run_command, write_mesh
 
 COLUMNS = ["curve", "size", "unknowns", "seconds", "memory_mb", "newton", "force", "potential", "pressure", "reason"]
-COLOURS = {"node": "#d95f02", "point": "#1b9e77", "segment": "#7570b3"}
+# Of Okabe and Ito, whom colour-blind readers can tell apart; markers tell them apart in grey.
+COLOURS = {"node": "#E69F00", "point": "#0072B2", "segment": "#CC79A7"}
+MARKERS = {"node": "v", "point": "o", "segment": "s"}
 FOREIGN = {"ngsolve": ("NGSolve", "D"), "getfem": ("GetFEM", "v")}
 TRUTH = "reference"
 
@@ -114,22 +116,31 @@ def errors(case: Case, rows: list[dict[str, str]]) -> dict[str, list[tuple[float
 
 
 def draw(case: Case, rows: list[dict[str, str]], path: Path) -> None:
-    """Two panels, force and second quantity: a curve a method; colour method, marker order, dashes augmented."""
+    """Panels of force and second quantity, a row an order: a curve a method, dashed where augmented."""
     found = errors(case, rows)
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 5.2), sharex=True)
-    for axis, part, what in zip(axes, (1, 2), ("force", case.second), strict=True):
-        for curve in CURVES:
-            points = found.get(curve.name, [])
-            line = "--" if curve.augmented else "-"
-            style = {"color": COLOURS[curve.method], "linestyle": line, "marker": "os"[curve.order - 1]}
-            axis.plot([p[0] for p in points], [p[part] for p in points], markersize=5, linewidth=1.2, **style)
-        for name, (_, marker) in FOREIGN.items():
-            points = found.get(name, [])
-            axis.plot([p[0] for p in points], [p[part] for p in points], marker=marker, color="black", linewidth=0.8)
-        label(axis, f"relative error of the {'peak ' if what == 'pressure' else ''}{what}")
-    figure.suptitle(case.title, fontsize=11)
-    figure.legend(handles=legend(found), loc="lower center", ncol=5, fontsize=8, frameon=False)
-    figure.tight_layout(rect=(0.0, 0.08, 1.0, 1.0))
+    figure, axes = pyplot.subplots(2, 2, figsize=(10, 7.6), sharex=True, sharey="col")
+    for order, pair in zip((1, 2), axes, strict=True):
+        for axis, part, what in zip(pair, (1, 2), ("force", case.second), strict=True):
+            for curve in (curve for curve in CURVES if curve.order == order):
+                points = found.get(curve.name, [])
+                style = {
+                    "linestyle": "--" if curve.augmented else "-",
+                    "linewidth": 3.0 if curve == case.choice else 1.2,
+                }
+                style |= {"color": COLOURS[curve.method], "marker": MARKERS[curve.method], "markersize": 6}
+                axis.plot([p[0] for p in points], [p[part] for p in points], **style)
+            for name, (_, marker) in FOREIGN.items() if order == 1 else ():
+                points = found.get(name, [])
+                axis.plot(
+                    [p[0] for p in points], [p[part] for p in points], marker=marker, color="black", linewidth=0.8
+                )
+            label(axis, f"relative error of the {'peak ' if what == 'pressure' else ''}{what}")
+            axis.set_title(f"order {order}", fontsize=10)
+    for axis in axes[0]:
+        axis.set_xlabel("")
+    figure.suptitle(f"{case.title}\nbest for the time (thick): {case.choice.name}", fontsize=11)
+    figure.legend(handles=legend(found), loc="lower center", ncol=4, fontsize=9, frameon=False)
+    figure.tight_layout(rect=(0.0, 0.07, 1.0, 1.0))
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
 
@@ -148,8 +159,7 @@ def label(axis: Axes, what: str) -> None:
 
 def legend(found: dict[str, Any]) -> list[Line2D]:
     """Handles that explain colours, markers and dashes, and the other programs in the table."""
-    handles = [Line2D([], [], color=colour, label=name) for name, colour in COLOURS.items()]
-    handles += [Line2D([], [], color="grey", linestyle="", marker="os"[o - 1], label=f"order {o}") for o in (1, 2)]
+    handles = [Line2D([], [], color=colour, marker=MARKERS[name], label=name) for name, colour in COLOURS.items()]
     dashes = (("-", "penalty"), ("--", "augmented"))
     handles += [Line2D([], [], color="grey", linestyle=line, label=name) for line, name in dashes]
     handles += [

@@ -54,6 +54,7 @@ class Case:
     approach: float = 0.05
     steps: int = 5
     best: str = "segment"  # method of the reference, which is of order 2 and augmented
+    choice: Curve = Curve("point", 2, False)  # that the study recommends, drawn thick
 
     def reference(self) -> Scene:
         """The scene of the reference: the load in one step, as the solution does not depend on the path."""
@@ -86,6 +87,7 @@ HALVES = Case(
     (0.024, 0.012, 0.006, 0.003),
     4.75,
     0.0015,
+    choice=Curve("point", 1, False),
 )
 CROSSED = Case(
     "crossed_fibers",
@@ -107,6 +109,7 @@ HERTZ = Case(
     material="elastic",
     approach=0.005,
     steps=2,
+    choice=Curve("segment", 2, True),
 )
 CASES = {case.name: case for case in (HALVES, CROSSED, HERTZ)}
 

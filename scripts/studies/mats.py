@@ -200,7 +200,7 @@ def draw_growth(rows: list[dict[str, str]], path: Path) -> None:
     )
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
     for axis, total, unit in ((left, 1e3 * seconds, "ms processor time"), (right, 1e3 * memory, "kB")):
-        axis.plot(fibers, total / unknowns, "o-", color="#2166ac")
+        axis.plot(fibers, total / unknowns, "o-", color="#0072B2")
         axis.set_xscale("log")
         axis.set_ylim(0.0, 1.15 * (total / unknowns).max(initial=0.0) or 1.0)
         axis.set_xticks(fibers, [f"{count:g}" for count in fibers])
@@ -217,10 +217,17 @@ def draw_cooperativity(rows: list[dict[str, str]], path: Path) -> None:
     """Voltage at the same force on each fiber over the number of touching fibers, over that of one that is alone."""
     figure, axis = pyplot.subplots(figsize=(4.6, 3.4), layout="constrained")
     alone = next(float(r["voltage_alike"]) for r in rows if r["arrangement"] == "row" and r["count"] == "1")
-    for arrangement, mark in (("row", "o-"), ("row between walls", "s--"), ("column between walls", "^-")):
+    curves = (
+        ("row", "o-", "#0072B2"),
+        ("row between walls", "s--", "#E69F00"),
+        ("column between walls", "^-", "#000000"),
+    )
+    for arrangement, mark, colour in curves:
         chosen = [r for r in rows if r["arrangement"] == arrangement and r["voltage_alike"]]
         count = np.array([int(r["count"]) for r in chosen])
-        axis.plot(count, np.array([float(r["voltage_alike"]) for r in chosen]) / alone, mark, label=arrangement)
+        axis.plot(
+            count, np.array([float(r["voltage_alike"]) for r in chosen]) / alone, mark, color=colour, label=arrangement
+        )
     axis.set_xscale("log", base=2)
     axis.set_yscale("log", base=2)
     for ticks in (axis.xaxis, axis.yaxis):

@@ -36,7 +36,9 @@ from scripts.studies.stability_maps import MAPS
 from scripts.studies.stability_methods import METHODS
 
 COLUMNS = ["method", "x", "y", "outcome", "error", "newton", "cutbacks", "seconds", "reason"]
-OUTCOMES = {"right": "#7fbf7b", "wrong": "#d73027", "failed": "#bdbdbd"}
+# Told apart by colour-blind readers, and in grey: light, dark, white.
+OUTCOMES = {"right": "#a9cfe8", "wrong": "#9a3b00", "failed": "#ffffff"}
+WIDEST = 10.0  # inches of a picture
 # Part of the reason of a failure -> its letter in a cell and what it means.
 REASONS = {
     "needs more than": "N: Newton's method does not end",
@@ -119,7 +121,7 @@ def draw(study: Map, rows: list[dict[str, str]], path: Path) -> None:
     methods = [m for m in METHODS if any(row["method"] == m.name for row in rows)]
     (x_name, xs), (y_name, ys) = study.x, study.y
     wide = 0.42 * len(xs) + 0.5
-    columns = min(4, len(methods))
+    columns = min(4, len(methods), max(1, int((WIDEST - 0.8) / wide)))
     lines = math.ceil(len(methods) / columns)
     figure, axes = pyplot.subplots(
         lines,
@@ -141,7 +143,8 @@ def draw(study: Map, rows: list[dict[str, str]], path: Path) -> None:
                 image[j][i] = kinds.index(row["outcome"])
                 text = percent(row["error"]) if row["error"] else letter(row["reason"])[0]
                 letters |= {letter(row["reason"])} if not row["error"] else set()
-                axis.text(i, j, text, ha="center", va="center", fontsize=6)
+                colour = "white" if row["outcome"] == "wrong" else "black"
+                axis.text(i, j, text, ha="center", va="center", fontsize=7, color=colour)
         norm = BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
         axis.imshow(image, cmap=ListedColormap(list(OUTCOMES.values())), norm=norm, aspect="auto", origin="lower")
         axis.set_title(method.name, fontsize=9)
@@ -151,12 +154,12 @@ def draw(study: Map, rows: list[dict[str, str]], path: Path) -> None:
         axis.set_visible(False)
     figure.suptitle(study.title, fontsize=11)
     key = (
-        f"green: within {100 * study.tolerance:g} % of: {study.reference}; red: converged, but wrong; number: error, %"
+        f"blue: within {100 * study.tolerance:g} % of: {study.reference}; dark: converged, but wrong; number: error, %"
     )
     if len(found) < len(methods) * len(xs) * len(ys):
-        key += "; white: not run"
+        key += "; empty: not run"
     if letters:
-        key += "\ngrey: failed. " + "; ".join(sorted(letters))
+        key += "\nwhite: failed. " + "; ".join(sorted(letters))
     figure.supxlabel(f"{x_name}\n{key}", fontsize=8)
     figure.supylabel(y_name, fontsize=8)
     figure.savefig(path, dpi=110)
@@ -176,7 +179,7 @@ def short(value: float) -> str:
 def percent(error: str) -> str:
     """An error in per cent, two digits at most."""
     value = 100.0 * float(error)
-    return "∞" if value > 999 else f"{value:.0f}" if value >= 9.5 else f"{value:.1g}" if value >= 0.05 else "0"
+    return ">999" if value > 999 else f"{value:.0f}" if value >= 9.5 else f"{value:.1g}" if value >= 0.05 else "0"
 
 
 def main() -> None:
