@@ -124,7 +124,7 @@ def _contact(keys: Contact | None, model: Model, contact: Interfaces | None) -> 
         "segment": "on slave facets cut along master edges",
     }[keys.method]
     passes = "both ways, half each" if keys.passes == 2 else "slave to master"
-    laws = [p.law.electric for p in contact.surface_pairs]
+    laws = [law for p in contact.surface_pairs for law in p.law.summands()]
     both = "gap and equal potential" if any(isinstance(law, EqualPotential) for law in laws) else "gap"
     listed = list(contact.pairs.listed.values())
     what = f"{len(listed)} pairs ({named(listed)})" if listed else "any two bodies that come near each other"
@@ -141,7 +141,7 @@ def _electric(keys: Contact | None, model: Model, contact: Interfaces | None) ->
         reach = f"open gaps up to {medium.reach:.3g} um pass charges"
         text = f"{reach}, filled with {what}; a closed one counts as {1e3 * medium.closed_gap:.2g} nm of it"
         return [("gaps", text)]
-    laws = [p.law.electric for p in contact.point_sets] if contact is not None else []
+    laws = [law for p in contact.point_sets for law in p.law.summands()] if contact is not None else []
     fades = [law.fade for law in laws if isinstance(law, EqualPotential)]
     if not model.comm.allreduce(len(fades)):
         return []

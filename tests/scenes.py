@@ -108,7 +108,7 @@ class Points:
         for p in finished.problem.contact.surface_pairs:
             shape = p.slave.kind.shape(p.projection.xi)
             place.append(np.einsum("mk,mkd->md", shape, p.projection.nodes))
-            pressure.append(np.maximum(-p.response.slope, 0.0))
+            pressure.append(np.maximum(-p.response.traction, 0.0))
             weight.append(p.share * p.points.weight[p.projected_points])
         self.pressure, self.weight = np.concatenate(pressure), np.concatenate(weight)
         self.place = np.concatenate(place)

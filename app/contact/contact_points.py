@@ -14,9 +14,9 @@ from piezomat.discretization.state import Points, ReadPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.augmentation import Multipliers, augmented_response
 from piezomat.forms.contact.gap import Projection
-from piezomat.forms.contact.integrals import SlavePoints
-from piezomat.forms.contact.laws.interface import InterfaceLaw
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.integrals import PointForces, SlavePoints
+from piezomat.forms.contact.laws.law import ContactLaw
+from piezomat.forms.contact.laws.response import ENERGIES, Response
 from piezomat.forms.contact.laws.viscous import ViscousBonds
 from piezomat.meshes.contact.load_balance import SlaveFacets
 
@@ -29,7 +29,7 @@ class Snapshot:
     """Points, history and multipliers at the end of a converged step; none of them is changed any more."""
 
     points: SlavePoints
-    history: History
+    history: Array
     multipliers: Multipliers
 
 
@@ -43,12 +43,12 @@ class ContactPoints(ABC):
     pair: number of the pair, see `Pairs`; planes are counted after the listed pairs
     slave: slave facets (f,) whose points this rank evaluates
     points (m,): the integration points
-    law (m,): interface law
+    law (m,): law of contact
     facet_size (m,): size of each point's slave facet, um
     share: share of the contact enthalpy, 1/2 for each of two passes
 
     Kept from step to step:
-    history (m,): state of the law at the end of the last converged step
+    history (m, h): of the law, at the end of the last converged step
     multipliers: shifts of gap and jump at the corners of the slave facets, by augmentation
     viscous_bonds (m,): viscous regularization; without stiffness where there is none
 
@@ -60,19 +60,19 @@ class ContactPoints(ABC):
     projected_points (r,): the points with a closest point, by their number in `points`
     position (r, d): um
     projection (r,): gaps and normals, um; None before the first evaluation
-    gap (r,): gap of the law, that of the projection and the multipliers' shift, um
-    jump (r,): potential jump, V; None without electric contact
-    response (r,): response of the law, at the predicted gaps and jumps if there is a prediction
-    predicted (2, r): predicted changes of gap and jump, um and V; None without a prediction
+    q (r, k): kinematics: gap of the projection, um, and where charges pass potential jump, V
+    shift (r, k): the multipliers' additions to q
+    response (r,): response of the law, at the predicted kinematics if there is a prediction
+    predicted (r, k): predicted change of q; None without a prediction
     """
 
     pair: int
     slave: SlaveFacets
     points: SlavePoints
-    law: InterfaceLaw
+    law: ContactLaw
     facet_size: Array
     share: float = 1.0
-    history: History = field(init=False)
+    history: Array = field(init=False)
     multipliers: Multipliers = field(init=False)
     viscous_bonds: ViscousBonds = field(init=False)
     slave_nodes: Integers = field(init=False)
@@ -80,13 +80,13 @@ class ContactPoints(ABC):
     projected_points: Integers = field(init=False)
     position: Array = field(init=False)
     projection: Projection | None = field(init=False, default=None)
-    gap: Array = field(init=False)
-    jump: Array | None = field(init=False, default=None)
+    q: Array = field(init=False)
+    shift: Array = field(init=False)
     response: Response | None = field(init=False, default=None)
     predicted: Array | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self.history = History.virgin(len(self.points.weight))
+        self.history = self.law.virgin(len(self.points.weight))
         self.multipliers = Multipliers.none(self.slave.kind, len(self.slave))
         self.end_viscous_regularization()
         self._keep()
@@ -102,7 +102,7 @@ class ContactPoints(ABC):
 
     @abstractmethod
     def first_changes(self, at: NodalState, change: Array) -> Array:
-        """First-order changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
+        """First-order changes (r, k) of the kinematics with those (n, block_size) of the unknowns."""
 
     @abstractmethod
     def facet_pairs_within(self, distance: float) -> Integers:
@@ -116,7 +116,49 @@ class ContactPoints(ABC):
     def touching_bodies(self, pairs: Pairs) -> set[int]:
         """Bodies in contact with others or with a plane."""
 
+    @property
+    def gap(self) -> Array:
+        """Gap (r,) of the law, with the multipliers' shift, um."""
+        return self.q[:, 0] + self.shift[:, 0]
+
+    @property
+    def jump(self) -> Array | None:
+        """Potential jump (r,), V; None where no charges pass."""
+        return self.q[:, 1] if self.q.shape[1] > 1 else None
+
     # --- Response of the law ---
+
+    def _respond_at(self, at: NodalState, jump: Array | None) -> None:
+        """Let the law respond at the gaps of the projection and at these jumps (r,), V; None without."""
+        gap, rows = self.projection.gap, self.projected_points
+        self.q = gap[:, None] if jump is None else np.stack([gap, jump], axis=1)
+        shift = self.multipliers.at(self.slave.kind, self.points.facet[rows], self.points.xi[rows])
+        self.shift = shift[:, : self.q.shape[1]]
+        self.response = self._response(at)
+
+    def _response(self, at: NodalState) -> Response:
+        """Response at the kinematics or at the predicted ones, with the multipliers' shifts."""
+        rows = self.projected_points
+        q = self.q if self.predicted is None else self.q + self.predicted
+        law = self.law + self.viscous_bonds if at.mode.viscous else self.law
+        return augmented_response(law[rows], q, self.history[rows], self.shift, at.mode)
+
+    def _point_forces(self, at: NodalState) -> PointForces:
+        """What the response gives to residual and tangent, by the gap and the jump of the potential unknown.
+
+        With a prediction the residual is extrapolated backwards from the response there.
+        """
+        r, weight = self.response, self.share * self.points.weight[self.projected_points]
+        units = self._units(at)
+        tangent = r.gradient * units
+        residual = tangent if self.predicted is None else r.extrapolated(-self.predicted) * units
+        if not at.mode.consistent:
+            tangent = tangent * ([0.0, 1.0][: len(units)])
+        return PointForces(weight, residual, tangent, r.hessian * np.outer(units, units))
+
+    def _units(self, at: NodalState) -> Array:
+        """The unit (k,) of each of the kinematics in that of the unknowns: a jump is counted in V."""
+        return np.array([1.0] if self.q.shape[1] == 1 else [1.0, at.scale])
 
     def predict(self, at: NodalState, change: Array) -> Array:
         """Respond from now on as after this change (n, block_size) of the unknowns since the last evaluation.
@@ -126,36 +168,14 @@ class ContactPoints(ABC):
         """
         last, before = self.response, self.predicted
         self.predicted = self.first_changes(at, change)
-        slope, charge = last.linearized(self.predicted if before is None else self.predicted - before)
-        rows = self.projected_points
-        r = self._respond(at, self._shift(self.points.facet[rows], self.points.xi[rows]))
-        weight = self.share * self.points.weight[rows]
-        scale = 1.0 if at.scale is None else at.scale
-        return np.array(
-            [((weight * (r.slope - slope)) ** 2).sum(), ((scale * weight * (r.charge - charge)) ** 2).sum()]
-        )
+        expected = last.extrapolated(self.predicted if before is None else self.predicted - before)
+        weight = self.share * self.points.weight[self.projected_points]
+        missed = weight[:, None] * (self._response(at).gradient - expected) * self._units(at)
+        return np.pad((missed**2).sum(axis=0), (0, 2 - missed.shape[1]))
 
     def end_prediction(self) -> None:
         """Respond at the states that are evaluated again."""
         self.predicted = None
-
-    def _shift(self, facet: Integers, xi: Array) -> tuple[Array, Array]:
-        """The multipliers' shifts of gap and jump (r,) at points of slave facets."""
-        return self.multipliers.at(self.slave.kind, facet, xi)
-
-    def _respond(self, at: NodalState, shift: tuple[Array, Array]) -> Response:
-        """Response at the gaps and jumps of the projection or at the predicted ones, with the multipliers' shifts."""
-        rows, gap, jump = self.projected_points, self.projection.gap, self.jump
-        if self.predicted is not None:
-            gap, jump = gap + self.predicted[0], None if jump is None else jump + self.predicted[1]
-        mode = {"attraction": at.mode.attraction, "consistent": at.mode.consistent}
-        return augmented_response(self.law[rows], gap, jump, self.history[rows], shift, **mode)
-
-    def _forces(self) -> tuple[Array, Array]:
-        """Slope and charge (r,) at the present gaps: with a prediction, extrapolated backwards from its response."""
-        if self.predicted is None:
-            return self.response.slope, self.response.charge
-        return self.response.linearized(-self.predicted)
 
     def _near_contact(self, distance: float) -> Booleans:
         """Whether the gap of points (r,) is below `distance` (um) plus half a facet."""
@@ -165,11 +185,10 @@ class ContactPoints(ABC):
 
     def commit(self) -> None:
         """Advance the history by the last evaluation, which is the end of a converged step or of a part of one."""
-        near, gap = self.projected_points, self.gap
-        advanced = self.history[near].advanced(gap, self.law[near].touching(gap))
-        self.history = self.law.on_loss_of_contact(self.history)
-        self.history.touched[near] = advanced.touched
-        self.history.opening[near] = advanced.opening
+        near = self.projected_points
+        history = self.law[near].committed(self.q + self.shift, self.history[near])
+        self.history = self.law.on_loss_of_contact(self.history).copy()
+        self.history[near] = history
         self._keep()
 
     def snapshot(self) -> Snapshot:
@@ -184,8 +203,8 @@ class ContactPoints(ABC):
 
     def saved(self, *, augmented: bool) -> Points:
         """The history of the points for a checkpoint, and with augmentation the multipliers, by their keys."""
-        known = self.history.touched
-        points = {"opening": (self.keys()[known], self.history.opening[known][:, None])}
+        known = self.history.any(axis=1)
+        points = {"history": (self.keys()[known], self.history[known])} if self.law.history_size else {}
         if augmented:
             shifts = np.stack([self.multipliers.gap, self.multipliers.jump], axis=2)
             points["shift"] = self.corner_keys(), shifts.reshape(-1, 2)
@@ -193,9 +212,9 @@ class ContactPoints(ABC):
 
     def resume(self, read: ReadPoints, *, augmented: bool) -> None:
         """Take up the history that a checkpoint holds. Collective."""
-        values, found = read("opening", self.keys(), 1)
-        self.history.touched[:] = found
-        self.history.opening[:] = np.where(found, values[:, 0], 0.0)
+        if self.law.history_size:
+            values, found = read("history", self.keys(), self.law.history_size)
+            self.history[:] = np.where(found[:, None], values, 0.0)
         if augmented:
             values, _ = read("shift", self.corner_keys(), 2)
             self.multipliers.gap[:], self.multipliers.jump[:] = values.T.reshape(2, *self.multipliers.gap.shape)
@@ -214,34 +233,32 @@ class ContactPoints(ABC):
 
     def start_viscous_regularization(self, share: float) -> None:
         """Resist the opening of bonds from the present gaps on, with `share` times their steepest softening."""
-        if self.law.adhesion is None:
-            return
-        rows, adhesion = self.projected_points, self.law.adhesion
-        live = self.law.bonded(self.history) | (adhesion.always & ~self.history.touched)
-        self.viscous_bonds.start[rows] = self.projection.gap
-        self.viscous_bonds.stiffness[:] = 0.0
-        self.viscous_bonds.stiffness[rows] = (share * adhesion.steepness * live)[rows]
+        rows = self.projected_points
+        start, stiffness = np.zeros((2, len(self.points.weight)))
+        start[rows], stiffness[rows] = self.gap, share * self.law.softening(self.history)[rows]
+        self.viscous_bonds = ViscousBonds(start, stiffness)
 
     def end_viscous_regularization(self) -> None:
         """Open bonds without viscous resistance."""
         self.viscous_bonds = ViscousBonds.none(len(self.points.weight))
 
     def energies(self) -> Array:
-        """Contact, adhesion, electric and dissipated energy (4,) of the last evaluation, pJ (2D: per um of depth).
+        """The `ENERGIES` (4,) of the last evaluation, pJ (2D: per um of depth).
 
         Points that are not projected count too: they hold the adhesion of bonds that are not formed and what broken
         ones have dissipated.
         """
-        sums = np.zeros(4)
+        sums = np.zeros(len(ENERGIES))
         far = np.ones(len(self.points.weight), bool)
         far[self.projected_points] = False
         responses = [(self.response, self.projected_points)]
-        if self.law.adhesion is not None:
-            apart = np.full(int(far.sum()), FAR_GAP)
-            responses.append((self.law[far].respond(apart, None, self.history[far]), np.flatnonzero(far)))
+        if self.law.softens:
+            apart = np.zeros((int(far.sum()), 2))
+            apart[:, 0] = FAR_GAP
+            responses.append((self.law[far].respond(apart, self.history[far]), np.flatnonzero(far)))
         for r, rows in responses:
             weight = self.share * self.points.weight[rows]
-            sums += [float(weight @ e) for e in (r.contact, r.adhesion, r.electric, r.dissipated)]
+            sums += [float(weight @ r.energy(name)) for name in ENERGIES]
         return sums
 
     # --- Numbers that do not depend on the partition ---

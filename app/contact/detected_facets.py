@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import FacetKind, corner_kind
+from piezomat.forms.contact.gap import Projection
+from piezomat.forms.contact.integrals import FacetPairs
 from piezomat.forms.contact.smoothing import rounded, spread
 from piezomat.meshes.contact.facet_bounds import near_pairs
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
@@ -91,6 +94,23 @@ class DetectedFacets:
     def roundings_of(self, slave: Integers, master: Integers) -> tuple[Array, Array]:
         """Roundings (k, ., d) of slave and of master facets."""
         return self.slave.rounding[slave], self.master.rounding[master]
+
+    def pairs(
+        self,
+        at: NodalState,
+        slave: Integers,
+        master: Integers,
+        projection: Projection,
+        shape: Array,
+        *,
+        charged: bool,
+    ) -> FacetPairs:
+        """Pairs of slave and master facets (k,) with points that have these projections and shape functions (k, n).
+
+        charged: whether charges pass.
+        """
+        potentials = self.potentials_at(at.potentials, slave, master)[1] if charged else None
+        return FacetPairs(self.kind, projection, shape, at.block_size, potentials, self.roundings_of(slave, master))
 
     def may_meet(self, slave: Integers, master: Integers) -> Booleans:
         """Whether points of slave facets may meet master facets, (k,) each."""

@@ -78,8 +78,8 @@ def facets_across(contact: Interfaces) -> dict[int, Across]:
 def _pressed(contact: Interfaces, p: ContactPoints) -> _Pressed:
     """The facets of this rank that are pressed, each once for each pair that it meets."""
     rows = p.projected_points
-    pressed = np.flatnonzero(p.response.slope < 0.0)
-    rows, slope, x = rows[pressed], p.response.slope[pressed], p.position[pressed]
+    pressed = np.flatnonzero(p.response.traction < 0.0)
+    rows, slope, x = rows[pressed], p.response.traction[pressed], p.position[pressed]
     number, facet = p.numbers_in_results(contact.pairs)[pressed], p.points.facet[rows]
     normal = point_normals(p.slave.kind, p.points.xi[rows], p.slave.reference[facet], p.slave.orientation[facet])
     area = p.points.area[rows]

@@ -19,9 +19,8 @@ from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.integrals import SlavePoints, facet_areas, quadrature_points
-from piezomat.forms.contact.laws.interface import InterfaceLaw
-from piezomat.forms.contact.laws.medium import Medium
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.law import ContactLaw
+from piezomat.forms.contact.laws.response import ENERGIES, Response
 from piezomat.forms.contact.smoothing import to_corners
 from piezomat.meshes.contact.facet_bounds import near_points
 from piezomat.meshes.contact.global_search import CandidatePairs
@@ -68,21 +67,19 @@ class GapExchange:
 
     Given:
     slave: slave facets (f,) whose points this rank evaluates
-    medium (f,): law of each facet's points: the medium, less what the points of contact have of it
+    law (f,): of each facet's points: that of the medium, less what the points of contact have of it
     facet_size (f,): um
     share: share of the enthalpy, 1/2 for each of two passes
-    rest_gap: gap of surfaces at rest, um
 
     Valid after an evaluation:
-    gap, jump (m,): um, V; response (m,): of the law, with the mode of the evaluation
+    q (m, 2): gap, um, and potential jump, V; response (m,): of the law, with the mode of the evaluation
     force (m, d): force that each point exerts on the master, uN
     """
 
     slave: SlaveFacets
-    medium: Medium
+    law: ContactLaw
     facet_size: Array
     share: float
-    rest_gap: float
 
     def __post_init__(self) -> None:
         kind = self.slave.kind
@@ -95,7 +92,7 @@ class GapExchange:
     @property
     def search_range(self) -> float:
         """Gap up to which partners are found, um."""
-        return AHEAD * (self.rest_gap + self.medium.interaction_range)
+        return AHEAD * self.law.interaction_range
 
     # --- Detection ---
 
@@ -107,7 +104,7 @@ class GapExchange:
         rows = np.flatnonzero(near[self._every.facet])
         points = SlavePoints(*(getattr(self._every, name)[rows] for name in SlavePoints.__dataclass_fields__))
         self._found = middles[~near[middles.facet]].followed_by(self._partners(facets, position, depth, points))
-        self._law = InterfaceLaw(np.zeros(len(self._found.facet)), None, self.medium[self._found.facet])
+        self._law = self.law[self._found.facet]
         self._masters = max(len(facets.master), 1)
         self.response = None
 
@@ -174,31 +171,29 @@ class GapExchange:
     def evaluate(self, at: NodalState, *, tangent: bool) -> ContactTerms:
         """Terms of the points at a state."""
         p, d = self._found, at.position.shape[1]
-        self.gap = np.einsum("mnd,mnd->m", p.gap_rows, at.position[p.nodes]) + p.gap_shift
-        self.jump = at.scale * np.einsum("mn,mn->m", p.jump_rows, at.potentials[p.nodes])
-        mode = {"attraction": at.mode.attraction, "consistent": at.mode.consistent}
-        r = self.response = self._law.respond(self.gap - self.rest_gap, self.jump, History.virgin(len(p.facet)), **mode)
-        self.force = (p.weight * r.slope)[:, None] * -p.gap_rows[:, : p.gap_rows.shape[1] // 2].sum(axis=1)
-        live = np.flatnonzero(r.electric_curvature != 0.0)
+        gap = np.einsum("mnd,mnd->m", p.gap_rows, at.position[p.nodes]) + p.gap_shift
+        jump = at.scale * np.einsum("mn,mn->m", p.jump_rows, at.potentials[p.nodes])
+        self.q = np.stack([gap, jump], axis=1)
+        r = self.response = self._law.respond(self.q, self._law.virgin(len(gap)), at.mode)
+        self.force = (p.weight * r.traction)[:, None] * -p.gap_rows[:, : p.gap_rows.shape[1] // 2].sum(axis=1)
+        live = np.flatnonzero(r.acts)
         order, first = self._pairs_of(live)
         p, n, b = p[live[order]], p.nodes.shape[1], at.block_size
-        slope, charge, curvature, mixed, electric_curvature = (
-            p.weight * getattr(r, name)[live[order]]
-            for name in ("slope", "charge", "curvature", "mixed", "electric_curvature")
-        )
+        gradient = p.weight[:, None] * r.gradient[live[order]]
+        hessian = p.weight[:, None, None] * r.hessian[live[order]]
         jump = at.scale * p.jump_rows
         vectors = np.zeros((len(first), n, b))
-        vectors[:, :, d] = _sums(charge[:, None] * jump, first)
+        vectors[:, :, d] = _sums(gradient[:, 1, None] * jump, first)
         matrices = np.zeros((len(first), n, b, n, b)) if tangent else None
         if tangent:
-            matrices[:, :, d, :, d] = _sums(electric_curvature[:, None, None] * _outer(jump, jump), first)
-        if slope.any() or mixed.any():
-            vectors[:, :, :d] = _sums(slope[:, None, None] * p.gap_rows, first)
+            matrices[:, :, d, :, d] = _sums(hessian[:, 1, 1, None, None] * _outer(jump, jump), first)
+        if gradient[:, 0].any() or hessian[:, 0].any():
+            vectors[:, :, :d] = _sums(gradient[:, 0, None, None] * p.gap_rows, first)
             if tangent:
                 flat = p.gap_rows.reshape(len(live), n * d)
-                second = _sums(curvature[:, None, None] * _outer(flat, flat), first)
+                second = _sums(hessian[:, 0, 0, None, None] * _outer(flat, flat), first)
                 matrices[:, :, :d, :, :d] = second.reshape(-1, n, d, n, d)
-                cross = _sums(mixed[:, None, None] * _outer(flat, jump), first).reshape(-1, n, d, n)
+                cross = _sums(hessian[:, 0, 1, None, None] * _outer(flat, jump), first).reshape(-1, n, d, n)
                 matrices[:, :, :d, :, d] = cross
                 matrices[:, :, d, :, :d] = np.moveaxis(cross, 3, 1)
         if tangent:
@@ -211,9 +206,9 @@ class GapExchange:
         order = np.argsort(pair, kind="stable")
         return order, np.unique(pair[order], return_index=True)[1]
 
-    def energy(self) -> float:
-        """Electric energy of the last evaluation, pJ (2D: per um of depth)."""
-        return float(self._found.weight @ self.response.electric)
+    def energies(self) -> Array:
+        """The `ENERGIES` (4,) of the last evaluation, pJ (2D: per um of depth)."""
+        return np.array([self._found.weight @ self.response.energy(name) for name in ENERGIES])
 
 
 def _sums(values: Array, first: Integers) -> Array:

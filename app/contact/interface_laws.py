@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 from mpi4py import MPI
@@ -12,9 +14,10 @@ from piezomat.forms.arrays import Array
 from piezomat.forms.contact.integrals import facet_areas
 from piezomat.forms.contact.laws.catalogue import REVERSIBLE
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
-from piezomat.forms.contact.laws.equal_potential import EqualPotential, stable_electric_range
+from piezomat.forms.contact.laws.equal_potential import ConductingBonds, EqualPotential, stable_electric_range
+from piezomat.forms.contact.laws.law import ContactLaw
 from piezomat.forms.contact.laws.medium import AIR, Medium, closed_gap, stable_switch
-from piezomat.forms.contact.laws.response import AdhesionLaw
+from piezomat.forms.contact.laws.penalty import NormalPenalty
 from piezomat.meshes.contact.load_balance import SlaveFacets
 from piezomat.scene.errors import SceneError
 from piezomat.scene.sections import Contact as ContactKeys
@@ -42,14 +45,16 @@ class GapMedium:
     voltage: float
     thickness: float
 
-    def laws(self, size: Array, stiffness: Array, permittivity: Array) -> tuple[Medium, Medium, Medium]:
+    def laws(
+        self, size: Array, stiffness: Array, permittivity: Array, rest_gap: float = 0.0
+    ) -> tuple[Medium, Medium, Medium]:
         """The law of points with these facet sizes, stiffnesses and permittivities (m,), and its near part and rest.
 
-        No charge passes where a permittivity is zero.
+        No charge passes where a permittivity is zero. rest_gap: gap of surfaces at rest, um.
         """
         switch = stable_switch(self.voltage, permittivity, stiffness, self.thickness, size, self.permittivity)
         here = np.where(permittivity > 0.0, self.permittivity, 0.0)
-        whole = Medium(here, self.closed_gap, self.reach, pulls=self.pulls, switch=switch)
+        whole = Medium(here, self.closed_gap, self.reach, pulls=self.pulls, switch=switch, rest_gap=rest_gap)
         near = np.maximum(NEAR * size, 2.0 * switch)
         return whole, replace(whole, near=near), replace(whole, near=near, rest=True)
 
@@ -85,21 +90,17 @@ def normal_penalty(keys: ContactKeys, size: Array, stiffness: Array) -> Array:
     return keys.normal_penalty_factor * stiffness / size
 
 
-def equal_potential(
-    keys: ContactKeys,
-    voltage: float,
-    size: Array,
-    stiffness: Array,
-    permittivity: Array,
-    adhesion: AdhesionLaw | None = None,
-) -> EqualPotential | None:
-    """The law without a medium, of points with these facet sizes, stiffnesses, permittivities (m,) and adhesion.
+def with_equal_potential(
+    law: ContactLaw, keys: ContactKeys, voltage: float, size: Array, stiffness: Array, permittivity: Array
+) -> ContactLaw:
+    """A law of the gap with equal potentials, without a medium; as it is with an electric penalty of zero.
 
-    voltage: largest difference of prescribed potentials, V
-    None with an electric penalty of zero.
+    size, stiffness, permittivity (m,): of the points; voltage: largest difference of prescribed potentials, V
     """
     if keys.electric_penalty == 0.0:
-        return None
+        return law
+    parts = list(law.summands())
+    bonds = next((part for part in parts if isinstance(part, CohesiveLaw)), None)
     electric = np.where(permittivity > 0.0, keys.electric_penalty or 0.0, 0.0)
     if keys.electric_penalty is None:
         electric = keys.electric_penalty_factor * permittivity / size
@@ -108,17 +109,21 @@ def equal_potential(
     else:
         fade = np.maximum(FADE * size, stable_electric_range(voltage, permittivity, stiffness))
     # The range that keeps surfaces at a voltage apart from pulling each other in was measured beyond touch.
-    beyond = (voltage > 0.0 and keys.electric_range is None) or isinstance(adhesion, CohesiveLaw)
-    return EqualPotential(electric, fade, 0.0 if beyond else -0.5)
+    beyond = (voltage > 0.0 and keys.electric_range is None) or bonds is not None
+    equal = EqualPotential(electric, fade, 0.0 if beyond else -0.5, law.equilibrium_gap)
+    if bonds is None:
+        return law + equal
+    others = (part for part in parts if part is not bonds)
+    return reduce(add, (*others, ConductingBonds((bonds, equal))))
 
 
-def adhesion_law(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> AdhesionLaw | None:
-    """The adhesion of points with these penalties (m,) that the scene asks for; None without. Collective.
+def law_of_gap(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> ContactLaw:
+    """The penalties (m,) of points and the adhesion that the scene asks for. Collective.
 
     Raises SceneError on all ranks if the law is stiffer than the penalty of a point.
     """
     if keys.adhesion is None:
-        return None
+        return NormalPenalty(penalty)
     adhesion, least = keys.adhesion, comm.allreduce(float(penalty.min(initial=np.inf)), op=MPI.MIN)
     if adhesion.law in REVERSIBLE:
         law = REVERSIBLE[adhesion.law]
@@ -135,13 +140,13 @@ def adhesion_law(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> AdhesionL
                 "contact.adhesion.range", f"{adhesion.range:g}", f"more than strength / normal_penalty = {longest:g} um"
             )
         # A range is the same for all points, the energy up to it is not: it depends on the penalty.
-        return CohesiveLaw.cutoff_at(adhesion.strength, adhesion.range, penalty, always)
+        return NormalPenalty(penalty) + CohesiveLaw.cutoff_at(adhesion.strength, adhesion.range, penalty, always)
     spent = 0.5 * adhesion.strength * longest
     if energy <= spent:
         allowed = f"more than strength^2 / (2 normal_penalty) = {spent:g} pJ/um2, or a larger penalty"
         raise SceneError("contact.adhesion.energy", f"{energy:g}", allowed)
     cohesive = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[adhesion.law]
-    return cohesive(adhesion.strength, energy, penalty, always)
+    return NormalPenalty(penalty) + cohesive(adhesion.strength, energy, penalty, always)
 
 
 def facet_sizes(facets: SlaveFacets) -> Array:

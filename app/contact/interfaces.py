@@ -23,7 +23,7 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.state import ReadPoints, SavedHistory
 from piezomat.discretization.term import Term
 from piezomat.forms.arrays import Array, Integers
-from piezomat.forms.contact.facets import corner_kind
+from piezomat.forms.contact.laws.response import ENERGIES
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.global_search import share_facets
 
@@ -83,8 +83,8 @@ class Interfaces(Term):
         self.block_size: int = space.dofmap.index_map_bs
         self.potential_scale = potential_scale
         self.has_segments = any(p.segments for p in self.surface_pairs)
-        self.adhesive = any(p.law.adhesion is not None for p in self.surface_pairs)
-        penalties = (float(p.law.penalty.max(initial=0.0)) for p in self.point_sets)
+        self.adhesive = any(p.law.softens for p in self.surface_pairs)
+        penalties = (float(np.max(p.law.penalties[0], initial=0.0)) for p in self.point_sets)
         self.largest_penalty = comm.allreduce(max(penalties), op=MPI.MAX)
         # Planes know all their points: their closest points are not searched for.
         ranges = [p.law.interaction_range for p in self.surface_pairs]
@@ -278,6 +278,12 @@ class Interfaces(Term):
         for terms in self._plane_terms:
             self.nodes.add(terms.nodes, terms.vectors, residual)
 
+    def new_vector(self) -> PETSc.Vec:
+        """A vector like the state, with zeros."""
+        vector = self._coordinates.duplicate()
+        vector.set(0.0)
+        return vector
+
     def global_nodes(self, terms: ContactTerms) -> Integers:
         """Global node numbers (k, n) of each facet pair of the terms."""
         return self.nodes.number[terms.nodes]
@@ -342,24 +348,6 @@ class Interfaces(Term):
         for p in self.point_sets:
             p.end_viscous_regularization()
 
-    def corner_sums(self, p: ContactPoints, values: Array) -> Array:
-        """Sums (f, k, c) at the corners of slave facets, over all facets of all ranks: corner functions times values.
-
-        values (r, c): of the projected points of `p`.
-        """
-        rows = p.projected_points
-        shape = corner_kind(p.slave.kind).shape(p.points.xi[rows])
-        corners = p.slave_nodes[:, : shape.shape[1]]
-        sums = np.zeros((*corners.shape, values.shape[1]))
-        total = self._coordinates.duplicate()
-        for column in range(values.shape[1]):
-            total.set(0.0)
-            each = np.zeros((*shape.shape, self.block_size))
-            each[..., 0] = shape * values[:, column, None]
-            self.nodes.add(corners[p.points.facet[rows]], each, total)
-            sums[..., column] = self.nodes.gather(total)[corners, 0]
-        return sums
-
     # --- Reports ---
 
     def described(self) -> str:
@@ -395,6 +383,6 @@ class Interfaces(Term):
         return self.comm.allreduce(max((float(d.max(initial=0.0)) for d in depths), default=0.0), op=MPI.MAX)
 
     def energies(self, x: PETSc.Vec | None = None) -> dict[str, float]:
-        """Energies of the last evaluation (pJ; 2D: per um of depth): contact, adhesion, electric, dissipated."""
-        total = parallel.total(self.comm, sum((p.energies() for p in self.point_sets), np.zeros(4)))
-        return dict(zip(("contact", "adhesion", "electric", "dissipated"), total.tolist(), strict=True))
+        """The `ENERGIES` of the last evaluation, pJ (2D: per um of depth)."""
+        total = parallel.total(self.comm, sum((p.energies() for p in self.point_sets), np.zeros(len(ENERGIES))))
+        return dict(zip(ENERGIES, total.tolist(), strict=True))

@@ -5,20 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from piezomat.forms.arrays import Array
+from piezomat.forms.contact.laws.law import LawMode
 
 
 @dataclass(frozen=True)
-class EvaluationMode:
+class EvaluationMode(LawMode):
     """What an evaluation takes into account: at an equilibrium all of it, on the way to one not what does harm there.
 
-    attraction: whether the electric contact pulls on the surfaces, see `InterfaceLaw.respond`
+    attraction: see `LawMode`
     consistent: whether the tangent has the geometric stiffness and the negative stiffness of the attraction
     viscous: whether viscous bonds resist their opening, where there are any
     search: whether points without a closest point at the last evaluation may get one
     """
 
-    attraction: bool = True
-    consistent: bool = True
     viscous: bool = True
     search: bool = True
 

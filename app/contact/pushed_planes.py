@@ -31,7 +31,7 @@ def push(contact: Interfaces, state: PETSc.Vec, mode: EvaluationMode) -> tuple[A
     for column, p in enumerate(pushed):
         p.evaluate(at, tangent=False)
         weight = p.points.weight[p.projected_points]
-        stiffness = (p.normal @ p.direction) ** 2 * float(weight @ p.response.curvature)
+        stiffness = (p.normal @ p.direction) ** 2 * float(weight @ p.response.hessian[:, 0, 0])
         values[:, column] = p.force @ p.direction, stiffness
     force, derivative = parallel.total(contact.comm, values)
     return force, derivative

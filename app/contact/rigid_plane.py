@@ -129,63 +129,59 @@ class RigidPlane(ContactPoints):
         kind, offsets = self.slave.kind, self.slave.rounding[facet]
         self._travel_to(at.position)
         self.position = np.einsum("mk,mkd->md", shape, rounded(kind, at.position[nodes], offsets))
-        gap = self._gap(self.position)
-        self.projection = PlaneProjection(gap, np.tile(self.normal, (len(rows), 1)))
-        self.jump = self.surface_potential = None
+        self.projection = PlaneProjection(self._gap(self.position), np.tile(self.normal, (len(rows), 1)))
+        jump = self.surface_potential = None
         if self.reference_node is not None:
             self.potential = float(at.scale * at.potentials[self._places[0]])
         if at.potentials is not None:
             self.surface_potential = at.scale * np.einsum(
                 "mk,mk->m", shape, spread(kind, at.potentials[nodes], offsets)
             )
-            if self.potential is not None and self.law.electric is not None:
-                self.jump = self.surface_potential - self.potential
-        shift = self._shift(facet, self.points.xi[rows])
-        self.gap = gap + shift[0]
-        r = self.response = self._respond(at, shift)
-        weight = self.points.weight[rows]
-        self.force = -(weight @ r.slope) * self.normal
+            if self.potential is not None and self.law.has_charges:
+                jump = self.surface_potential - self.potential
+        self._respond_at(at, jump)
+        r, weight = self.response, self.points.weight[rows]
+        self.force = -(weight @ r.traction) * self.normal
         self.charge = float(weight @ r.charge)
 
-        active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
-        shape, nodes, weight = shape[active], nodes[active], weight[active]
+        active = r.acts
+        forces = self._point_forces(at)[active]
+        shape, nodes = shape[active], nodes[active]
         m, n = shape.shape
-        first = np.zeros((m, 2, n, at.block_size))  # variations of gap and jump
+        first = np.zeros((m, self.q.shape[1], n, at.block_size))  # variations of gap and jump
         first[:, 0, :, :d] = shape[:, :, None] * self.normal
-        if self.jump is not None:
-            first[:, 1, :, d] = at.scale * shape
+        if jump is not None:
+            first[:, 1, :, d] = shape
         first = to_corners(kind, first, offsets[active])
         if self.reference_nodes:
             nodes, n = self._with_references(nodes), first.shape[2]  # of curved facets the corners
             first = np.concatenate([first, np.zeros_like(first)], axis=2)
-            if self.jump is not None and self.reference_node is not None:
-                first[:, 1, n, d] = -at.scale
+            if jump is not None and self.reference_node is not None:
+                first[:, 1, n, d] = -1.0
             if self.travel_node is not None:
                 first[:, 0, n + len(self.reference_nodes) - 1, 0] = -self.normal @ self.direction
-        slopes = np.stack(self._forces(), axis=1)[active]
-        vectors = np.einsum("m,mr,mrnc->mnc", weight, slopes, first)
+        vectors = np.einsum("m,mr,mrnc->mnc", forces.weight, forces.residual, first)
         matrices = None
         if tangent:
-            second = np.stack([r.curvature, r.mixed, r.mixed, r.electric_curvature], axis=1)[active].reshape(m, 2, 2)
-            flat = first.reshape(m, 2, first.shape[2] * at.block_size)
-            matrices = np.swapaxes(flat, 1, 2) @ (weight[:, None, None] * second @ flat)
+            flat = first.reshape(m, first.shape[1], first.shape[2] * at.block_size)
+            matrices = np.swapaxes(flat, 1, 2) @ (forces.weight[:, None, None] * forces.hessian @ flat)
         terms = ContactTerms.summed(facet[active], nodes, vectors, matrices)
         return terms if self.reference_nodes else _twice(terms)
 
     def first_changes(self, at: NodalState, change: Array) -> Array:
-        """Changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
+        """Changes (r, k) of the kinematics with those (n, block_size) of the unknowns."""
         rows, d = self.projected_points, len(self.normal)
         facet, kind = self.points.facet[rows], self.slave.kind
         shape, nodes, offsets = self.points.shape[rows], self.slave_nodes[facet], self.slave.rounding[facet]
         before, after = (rounded(kind, x[nodes], offsets) for x in (at.position, at.position + change[:, :d]))
-        changes = np.zeros((2, len(rows)))
-        changes[0] = np.einsum("mk,mkd,d->m", shape, after - before, self.normal)
+        changes = np.zeros_like(self.q)
+        changes[:, 0] = np.einsum("mk,mkd,d->m", shape, after - before, self.normal)
         if self.jump is not None:
-            changes[1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))
+            changes[:, 1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))
             if self.reference_node is not None:
-                changes[1] -= at.scale * change[self._places[0], d]
+                changes[:, 1] -= at.scale * change[self._places[0], d]
         if self.travel_node is not None:
-            changes[0] -= change[self._places[-1], 0] * (self.normal @ self.direction)
+            changes[:, 0] -= change[self._places[-1], 0] * (self.normal @ self.direction)
         return changes
 
     def facet_pairs_within(self, distance: float) -> Integers:

@@ -12,11 +12,11 @@ from petsc4py import PETSc
 
 from piezomat.contact.gap_exchange import GapExchange
 from piezomat.contact.interface_laws import (
-    adhesion_law,
-    equal_potential,
     facet_sizes,
     gap_medium,
+    law_of_gap,
     normal_penalty,
+    with_equal_potential,
 )
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.pairs import Pairs
@@ -27,8 +27,8 @@ from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, facet_areas, nodal_points, quadrature_points
-from piezomat.forms.contact.laws.electric import ElectricLaw
-from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.law import ContactLaw
+from piezomat.forms.contact.laws.penalty import NormalPenalty
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.geodesic import geodesic_distance
 from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, GhostFacets, PairingRule
@@ -214,11 +214,11 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
     for number, plane in enumerate(model.scene.planes, start=first_number):
         start, normal = _place(plane, np.stack([low, high]), model.unknowns.origin)
         is_electrode = plane.potential is not None or plane.name in nodes
-        electric: ElectricLaw | None = None
+        law: ContactLaw = NormalPenalty(normal_penalty(keys, size, stiffness))
         if is_electrode and medium is not None:
-            electric, _, _ = medium.laws(size, stiffness, permittivity)
+            law += medium.laws(size, stiffness, permittivity)[0]
         elif is_electrode:
-            electric = equal_potential(keys, voltage, size, stiffness, permittivity)
+            law = with_equal_potential(law, keys, voltage, size, stiffness, permittivity)
         push = pushed.get(plane.name)
         found.append(
             RigidPlane(
@@ -231,7 +231,7 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
                 direction=None if push is None else push.direction,
                 slave=outside,
                 points=points,
-                law=InterfaceLaw(normal_penalty(keys, size, stiffness), None, electric),
+                law=law,
                 facet_size=size,
             )
         )
@@ -313,22 +313,22 @@ def _pass(
     least_permittivity = min(m.mean_permittivity for m in materials)
     stiffness, permittivity = (np.full(len(size), least) for least in (softest, least_permittivity))
     penalty = normal_penalty(keys, size, stiffness)
-    adhesion = adhesion_law(comm, keys, penalty)
+    law = law_of_gap(comm, keys, penalty)
     self_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
-    rest_gap = adhesion.equilibrium_gap if adhesion is not None else 0.0
-    electric: ElectricLaw | None = None
     exchange = None
     # Where one of the bodies has no permittivity, no charge passes.
     if all(m.electric for m in materials):
         medium = gap_medium(model)
         if medium is None:
             voltage = model.prescription.largest_voltage()
-            electric = equal_potential(keys, voltage, size, stiffness, permittivity, adhesion)
+            law = with_equal_potential(law, keys, voltage, size, stiffness, permittivity)
         else:
-            _, electric, _ = medium.laws(size, stiffness, permittivity)
+            rest_gap = law.equilibrium_gap
+            _, near, _ = medium.laws(size, stiffness, permittivity, rest_gap)
+            law += near
             of_facets = (np.full(len(sizes), least) for least in (softest, least_permittivity))
-            _, _, rest = medium.laws(sizes, *of_facets)
-            exchange = GapExchange(slaves, rest, sizes, 1.0 / keys.passes, rest_gap)
+            _, _, rest = medium.laws(sizes, *of_facets, rest_gap)
+            exchange = GapExchange(slaves, rest, sizes, 1.0 / keys.passes)
     return SurfacePair(
         pair=number,
         slave=slaves,
@@ -336,7 +336,7 @@ def _pass(
         master_bodies=frozenset(master_bodies),
         rule=rule,
         points=points,
-        law=InterfaceLaw(penalty, adhesion, electric),
+        law=law,
         facet_size=size,
         share=1.0 / keys.passes,
         first=first,

@@ -12,7 +12,7 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.blending import WIDTH, FacetShare, blended_vectors, mean_values
 from piezomat.forms.contact.gap import Projection, project
-from piezomat.forms.contact.laws.response import Response
+from piezomat.forms.contact.integrals import FacetPairs, PointForces
 from piezomat.meshes.contact.joined_facets import may_reach
 
 REACH = 0.5  # of a facet: how far off a curved facet a point may seem to be and yet be over it
@@ -92,39 +92,30 @@ class SharedPoints:
         there = np.einsum("mk,mk->m", facets.kind.shape(self.projection.xi), there)
         return mean_values(self.point, self.share.value, there)
 
+    def pairs(
+        self, facets: DetectedFacets, at: NodalState, slave: Integers, shape: Array, *, charged: bool
+    ) -> FacetPairs:
+        """The pairs of each point with each facet, given slave facet and shape functions of each point in `row`."""
+        points = self.row[self.point]
+        return facets.pairs(at, slave[points], self.facet, self.projection, shape[points], charged=charged)
+
     def terms(
         self,
         facets: DetectedFacets,
         at: NodalState,
         slave: Integers,
         shape: Array,
-        weight: Array,
-        first: tuple[Array, Array],
-        response: Response,
+        forces: PointForces,
         *,
-        electric: bool,
         tangent: bool,
     ) -> tuple[list[ContactTerms], Array]:
         """Terms of each point with each facet and, with `tangent`, between these facets; forces (k, d) on them.
 
-        slave, shape, weight, first, response: of each point that `row` numbers, as of `contact_vectors`.
+        slave, shape, forces: of each point that `row` numbers.
         """
+        pairs = self.pairs(facets, at, slave, shape, charged=forces.residual.shape[1] > 1)
         facet, master = slave[self.row][self.point], self.facet
-        found = blended_vectors(
-            facets.kind,
-            self.projection,
-            shape[self.row][self.point],
-            self.share,
-            self.point,
-            weight[self.row],
-            (first[0][self.row], first[1][self.row]),
-            response_of(response, self.row),
-            at.block_size,
-            facets.potentials_at(at.potentials, facet, master)[1] if electric else None,
-            tangent=tangent,
-            geometric_stiffness=at.mode.consistent,
-            roundings=facets.roundings_of(facet, master),
-        )
+        found = blended_vectors(pairs, self.share, self.point, forces[self.row], tangent=tangent)
         terms = [ContactTerms(facets.nodes_of(facet, master), found.vectors, found.matrices)]
         if tangent:
             one, other = (facets.master_nodes[master[pair]] for pair in (found.one, found.other))
@@ -136,8 +127,3 @@ class SharedPoints:
 def force_on_master(vectors: Array, dim: int) -> Array:
     """Forces (k, dim) on the master of the vectors (k, 2 n, c) of points and facets, slave nodes first."""
     return -vectors[:, : vectors.shape[1] // 2, :dim].sum(axis=1)
-
-
-def response_of(response: Response, some: Integers) -> Response:
-    """The response of some points."""
-    return Response(**{name: value[some] for name, value in response.__dict__.items()})

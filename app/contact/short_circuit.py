@@ -67,7 +67,7 @@ def short_circuit(model: Model, contact: Interfaces, factors: dict[str, float]) 
 
 def _possible(model: Model, contact: Interfaces) -> bool:
     """Whether there are two electrodes, and a contact that passes charges."""
-    some = any(p.law.electric is not None for p in contact.point_sets)
+    some = any(p.law.has_charges for p in contact.point_sets)
     return model.electric and some and len(model.scene.potentials) > 1
 
 
@@ -159,10 +159,10 @@ def _meeting(model: Model, contact: Interfaces, electrode: Integers) -> Iterator
     for e in model.constraints.electrodes:
         of_plane |= dict.fromkeys(e.planes, boundaries + planes + e.reference)
     for p in contact.point_sets:
-        if p.jump is None or p.response is None:
+        if p.response is None or p.jump is None:
             continue
         met = p.gap <= p.law.equilibrium_gap
-        if not isinstance(p.law.electric, Medium):  # which makes a capacitor of an open gap
+        if not any(isinstance(law, Medium) for law in p.law.summands()):  # which makes a capacitor of an open gap
             met |= p.response.charge != 0.0
         live = np.flatnonzero(met)
         ours = electrode[p.slave_nodes[p.points.facet[p.projected_points[live]]]]

@@ -13,15 +13,21 @@ from piezomat.contact.gap_exchange import GapExchange
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.seen_nodes import SeenNodes
-from piezomat.contact.shared_points import SharedPoints, force_on_master, response_of
+from piezomat.contact.shared_points import SharedPoints, force_on_master
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.state import Points, ReadPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.blending import blended_changes
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import project
-from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, first_changes, nodes_of
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.integrals import (
+    FacetPairs,
+    PointForces,
+    SlavePoints,
+    contact_vectors,
+    first_changes,
+    nodes_of,
+)
 from piezomat.forms.contact.segments import nearest_points, segment_points
 from piezomat.meshes.contact.facet_bounds import facing_pairs
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
@@ -183,7 +189,7 @@ class SurfacePair(ContactPoints):
         """Whether points in contact have slid since the cut, with the nodes at `before`, or are on uncut facets."""
         if not self.segments:
             return False
-        acts = (self.projection.gap < interaction_range) | (self.response.slope != 0.0)
+        acts = (self.projection.gap < interaction_range) | (self.response.traction != 0.0)
         rows, master, xi = self.projected_points[acts], self.master_facet[acts], self.projection.xi[acts]
         facets, facet = self.facets, self.points.facet[rows]
         points = np.einsum("mk,mkd->md", self.points.shape[rows], facets.slave_at(before, facet))
@@ -209,37 +215,24 @@ class SurfacePair(ContactPoints):
         xi, found = read("place", self._keys(facet, place), self.points.xi.shape[1])
         facet, place, xi, none = facet[found], place[found], xi[found], np.zeros(found.sum())
         self._set_points(SlavePoints(facet, place, xi, self.slave.kind.shape(xi), none, none))
-        self.history = History.virgin(len(facet))
+        self.history = self.law.virgin(len(facet))
 
     # --- Evaluation ---
 
     def evaluate(self, at: NodalState, *, tangent: bool) -> ContactTerms:
         """Terms of the projected points at the state that they were projected at."""
         rows = self.projected_points
-        facet, xi = self.points.facet[rows], self.points.xi[rows]
-        self.jump = self._jumps(at) if at.potentials is not None and self.law.electric is not None else None
-        shift = self._shift(facet, xi)
-        self.gap = self.projection.gap + shift[0]
-        r = self.response = self._respond(at, shift)
-        if at.mode.viscous:
-            r.slope = r.slope + self.viscous_bonds.traction(self.projection.gap, rows)
-            r.curvature = r.curvature + self.viscous_bonds.stiffness[rows]
-        active = (r.slope != 0.0) | (r.curvature != 0.0) | (r.electric_curvature != 0.0)
-        scaled, (slope, charge) = r, self._forces()
-        if self.jump is not None:
-            scaled = Response(**{**r.__dict__, "charge": at.scale * r.charge, "mixed": at.scale * r.mixed})
-            scaled.electric_curvature = at.scale**2 * r.electric_curvature
-            charge = at.scale * charge
+        charged = at.potentials is not None and self.law.has_charges
+        self._respond_at(at, self._jumps(at) if charged else None)
+        forces, active = self._point_forces(at), self.response.acts
         self.force = np.zeros((len(rows), at.position.shape[1]))
         alone = active.copy()
         alone[self.shared.row] = False
-        forces = slope, charge
-        terms = [self._terms_of_one_facet(at, np.flatnonzero(alone), scaled, forces, tangent=tangent)]
+        terms = [self._terms_of_one_facet(at, np.flatnonzero(alone), forces, tangent=tangent)]
         shared = self.shared[np.flatnonzero(active[self.shared.row])]
         if len(shared.row):
-            facet, shape = self.points.facet[rows], self.points.shape[rows]
-            given = self.facets, at, facet, shape, self.share * self.points.weight[rows], forces, scaled
-            found, pushes = shared.terms(*given, electric=self.jump is not None, tangent=tangent)
+            given = self.facets, at, self.points.facet[rows], self.points.shape[rows], forces
+            found, pushes = shared.terms(*given, tangent=tangent)
             np.add.at(self.force, shared.row[shared.point], pushes)
             terms += found
         if self.exchange is not None:
@@ -257,53 +250,35 @@ class SurfacePair(ContactPoints):
         return at.scale * (np.einsum("mk,mk->m", self.points.shape[self.projected_points], here) - there)
 
     def _terms_of_one_facet(
-        self, at: NodalState, some: Integers, response: Response, first: tuple[Array, Array], *, tangent: bool
+        self, at: NodalState, some: Integers, forces: PointForces, *, tangent: bool
     ) -> ContactTerms:
-        """Terms of `some` of the projected points, each on one master facet; response, first: of all of them."""
-        rows, master = self.projected_points[some], self.master_facet[some]
-        facet = self.points.facet[rows]
-        potentials = self.facets.potentials_at(at.potentials, facet, master)[1] if self.jump is not None else None
-        vectors, matrices = contact_vectors(
-            self.slave.kind,
-            self.projection[some],
-            self.points.shape[rows],
-            self.share * self.points.weight[rows],
-            (first[0][some], first[1][some]),
-            response_of(response, some),
-            at.block_size,
-            potentials,
-            tangent=tangent,
-            geometric_stiffness=at.mode.consistent,
-            roundings=self.facets.roundings_of(facet, master),
-        )
+        """Terms of `some` of the projected points, each on one master facet; forces: of all of them."""
+        facet, master = self.points.facet[self.projected_points[some]], self.master_facet[some]
+        vectors, matrices = contact_vectors(self._pairs(at, some), forces[some], tangent=tangent)
         self.force[some] = force_on_master(vectors, self.force.shape[1])
         pair = facet * max(len(self.facets.master), 1) + master
         return ContactTerms.summed(pair, self.facets.nodes_of(facet, master), vectors, matrices)
 
+    def _pairs(self, at: NodalState, some: Integers) -> FacetPairs:
+        """The pairs of facets of `some` of the projected points, each on one master facet."""
+        rows, given = self.projected_points[some], (self.master_facet[some], self.projection[some])
+        shape = self.points.shape[rows]
+        return self.facets.pairs(at, self.points.facet[rows], *given, shape, charged=self.jump is not None)
+
     def first_changes(self, at: NodalState, change: Array) -> Array:
-        """First-order changes (2, r), um and V, of gaps and jumps with those (n, block_size) of the unknowns."""
+        """First-order changes (r, k) of the kinematics with those (n, block_size) of the unknowns."""
         rows, shared = self.projected_points, self.shared
-        kind, changes = self.slave.kind, np.zeros((2, len(rows)))
+        facet, changes = self.points.facet[rows], np.zeros_like(self.q)
         alone = np.ones(len(rows), bool)
         alone[shared.row] = False
         some = np.flatnonzero(alone)
-        given = self._given(at, change, rows[some], self.master_facet[some])
-        changes[:, some] = first_changes(kind, self.projection[some], *given[:-1], roundings=given[-1])
+        nodes = self.facets.nodes_of(facet[some], self.master_facet[some])
+        changes[some] = first_changes(self._pairs(at, some), change[nodes])
         if len(shared.row):
-            shape, *given = self._given(at, change, rows[shared.row][shared.point], shared.facet)
-            blended = kind, shared.projection, shape, shared.share, shared.point
-            changes[:, shared.row] = blended_changes(*blended, *given[:-1], roundings=given[-1])
-        return changes * [[1.0], [at.scale or 0.0]]
-
-    def _given(
-        self, at: NodalState, change: Array, points: Integers, master: Integers
-    ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
-        """Shape functions, changes of unknowns, potentials and roundings of points (k,) and master facets (k,)."""
-        facet, there = self.points.facet[points], None
-        if self.jump is not None:
-            there = self.facets.potentials_at(at.potentials, facet, master)[1]
-        nodes = self.facets.nodes_of(facet, master)
-        return self.points.shape[points], change[nodes], there, self.facets.roundings_of(facet, master)
+            pairs = shared.pairs(self.facets, at, facet, self.points.shape[rows], charged=self.jump is not None)
+            nodes = self.facets.nodes_of(facet[shared.row][shared.point], shared.facet)
+            changes[shared.row] = blended_changes(pairs, shared.share, shared.point, change[nodes])
+        return changes * self._units(at)
 
     def facet_pairs_within(self, distance: float) -> Integers:
         """Nodes (k, 2 n) of the pairs of facets with a gap below `distance` (um) plus half a facet."""
@@ -316,11 +291,9 @@ class SurfacePair(ContactPoints):
         return nodes if self.exchange is None else np.concatenate([nodes, self.exchange.nodes()])
 
     def energies(self) -> Array:
-        """Contact, adhesion, electric and dissipated energy (4,), see `ContactPoints.energies`."""
-        sums = super().energies()
-        if self.exchange is not None:
-            sums[2] += self.exchange.energy()
-        return sums
+        """See `ContactPoints.energies`."""
+        exchanged = self.exchange.energies() if self.exchange is not None else 0.0
+        return super().energies() + exchanged
 
     # --- Bodies and pairs ---
 

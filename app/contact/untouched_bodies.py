@@ -33,7 +33,7 @@ def contact_forces(model: Model, contact: Interfaces) -> tuple[Array, Array]:
     for p in contact.point_sets:
         slave = p.slave.body[p.points.facet[p.projected_points]]
         if id(p) not in surface_pairs:
-            pull = p.points.weight[p.projected_points] * p.response.slope
+            pull = p.points.weight[p.projected_points] * p.response.traction
             np.add.at(sums, slave, np.column_stack([pull[:, None] * p.normal, np.abs(pull)]))
             continue
         force = np.column_stack([-p.force, np.linalg.norm(p.force, axis=1)])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from piezomat.contact.contact_points import ContactPoints
 from piezomat.contact.interfaces import Interfaces
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.augmentation import electric_share
+from piezomat.forms.contact.facets import corner_kind
 from piezomat.meshes import parallel
 
 
@@ -20,8 +22,8 @@ def augment(contact: Interfaces, tolerance: float, potential_range: float) -> Ar
     for p in contact.point_sets:
         rows = p.projected_points
         share, jump = electric_share(p.law[rows], p.response), np.zeros(len(rows)) if p.jump is None else p.jump
-        means = np.stack([np.ones(len(rows)), p.projection.gap, share, share * jump], axis=1)
-        new = p.multipliers.augmented(contact.corner_sums(p, p.points.weight[rows, None] * means))
+        means = np.stack([np.ones(len(rows)), p.q[:, 0], share, share * jump], axis=1)
+        new = p.multipliers.augmented(_corner_sums(contact, p, p.points.weight[rows, None] * means))
         size = np.ones(len(p.slave))  # of a facet without points, whose multipliers stay zero
         size[p.points.facet] = p.facet_size
         gap = np.abs(new.gap - p.multipliers.gap) / size[:, None]
@@ -34,3 +36,22 @@ def augment(contact: Interfaces, tolerance: float, potential_range: float) -> Ar
     for p, new in zip(contact.point_sets, after, strict=True):
         p.set_multipliers(new)
     return left
+
+
+def _corner_sums(contact: Interfaces, p: ContactPoints, values: Array) -> Array:
+    """Sums (f, k, c) at the corners of slave facets, over all facets of all ranks: corner functions times values.
+
+    values (r, c): of the projected points of `p`.
+    """
+    rows = p.projected_points
+    shape = corner_kind(p.slave.kind).shape(p.points.xi[rows])
+    corners = p.slave_nodes[:, : shape.shape[1]]
+    sums = np.zeros((*corners.shape, values.shape[1]))
+    for column in range(values.shape[1]):
+        total = contact.new_vector()
+        each = np.zeros((*shape.shape, contact.block_size))
+        each[..., 0] = shape * values[:, column, None]
+        contact.nodes.add(corners[p.points.facet[rows]], each, total)
+        sums[..., column] = contact.nodes.gather(total)[corners, 0]
+        total.destroy()
+    return sums

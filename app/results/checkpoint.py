@@ -25,7 +25,7 @@ from piezomat.results.atomic import replacing
 
 Keyed = tuple[NDArray[np.int64], NDArray[Any]]
 
-FORMAT = 1
+FORMAT = 2
 # Rows that travel and are written at once: they bound what rank 0 holds, whatever the size of the mesh.
 SLICE = 1 << 16
 GENERATIONS = 2

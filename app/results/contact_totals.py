@@ -83,8 +83,8 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
         jump = np.abs(p.jump) * together if p.jump is not None else np.zeros(len(gap))
         force = np.where(first, 1.0, -1.0)[:, None] * p.force
         sums = np.column_stack([force, p.share * area * closed, p.share * area * bonded])
-        largest = np.column_stack([-r.slope * p.points.weight[rows] / area, -gap, jump])
-        for pair in np.unique(number[closed | bonded | (r.slope != 0.0)]):
+        largest = np.column_stack([-r.traction * p.points.weight[rows] / area, -gap, jump])
+        for pair in np.unique(number[closed | bonded | (r.traction != 0.0)]):
             of = number == pair
             *total, touching, sticking = sums[of].sum(axis=0)
             points = PairTotals(np.array(total), touching, sticking, *largest[of].max(axis=0))
@@ -125,7 +125,7 @@ def _totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     closed = plane.gap <= 0.0
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
     sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
-    pressure = -plane.response.slope * plane.points.weight[plane.near_points] / area
+    pressure = -plane.response.traction * plane.points.weight[plane.near_points] / area
     deepest = max(-plane.projection.gap.min(initial=0.0), plane.penetration_of_nodes(contact.state.position))
     largest = np.array([pressure.max(initial=0.0), deepest])
     largest = parallel.largest(contact.comm, largest)

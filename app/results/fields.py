@@ -94,7 +94,7 @@ def contact_points(contact: Interfaces, model: Model) -> ContactPoints:
     for p in contact.point_sets:
         rows = p.projected_points
         gap = p.projection.gap
-        pressure = -p.response.slope * p.points.weight[rows] / p.points.area[rows]
+        pressure = -p.response.traction * p.points.weight[rows] / p.points.area[rows]
         jump = p.jump if p.jump is not None else np.zeros(len(gap))
         status = p.law[rows].status(p.gap, p.history[rows])
         place, numbers = p.position + model.unknowns.origin, p.numbers_in_results(contact.pairs)

@@ -251,7 +251,7 @@ class Stepper:
         if depth > DEEP:
             return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
         model = self.problem.model
-        laws = [p.law.electric for p in self.problem.contact.point_sets]
+        laws = [law for p in self.problem.contact.point_sets for law in p.law.summands()]
         fades = [float(law.fade.min(initial=np.inf)) for law in laws if isinstance(law, EqualPotential)]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
         # Potentials that the bodies' own strain causes have never pulled surfaces together.

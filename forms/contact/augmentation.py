@@ -17,9 +17,10 @@ import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind, corner_kind
-from piezomat.forms.contact.laws.equal_potential import EqualPotential
-from piezomat.forms.contact.laws.interface import InterfaceLaw
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.law import COMPLETE_LAW, ContactLaw, LawMode
+from piezomat.forms.contact.laws.response import Response
+
+PENALTY_ENERGIES = "contact", "electric"  # names of the energies that the penalties of gap and jump store
 
 
 @dataclass
@@ -39,10 +40,10 @@ class Multipliers:
         """Copy that shares no array."""
         return Multipliers(self.gap.copy(), self.jump.copy())
 
-    def at(self, kind: FacetKind, facet: Integers, xi: Array) -> tuple[Array, Array]:
-        """Additions (m,) to gap and jump at points xi (m, t) of facets (m,)."""
+    def at(self, kind: FacetKind, facet: Integers, xi: Array) -> Array:
+        """Additions (m, 2) to gap and jump at points xi (m, t) of facets (m,)."""
         shape = corner_kind(kind).shape(xi)
-        return np.einsum("mk,mk->m", shape, self.gap[facet]), np.einsum("mk,mk->m", shape, self.jump[facet])
+        return np.stack([np.einsum("mk,mk->m", shape, at[facet]) for at in (self.gap, self.jump)], axis=1)
 
     def augmented(self, sums: Array) -> Multipliers:
         """Multipliers after one step of Uzawa's method.
@@ -57,31 +58,22 @@ class Multipliers:
 
 
 def augmented_response(
-    law: InterfaceLaw,
-    gap: Array,
-    jump: Array | None,
-    history: History,
-    shift: tuple[Array, Array],
-    *,
-    attraction: bool = True,
-    consistent: bool = True,
+    law: ContactLaw, q: Array, history: Array, shift: Array, mode: LawMode = COMPLETE_LAW
 ) -> Response:
-    """Response at gaps and jumps (m,) with multipliers, without the energy that they store; see `InterfaceLaw.respond`.
+    """Response at kinematics q (m, k) with multipliers, without the energy that they store; see `ContactLaw.respond`.
 
-    shift: additions (m,) to gap and jump, `Multipliers.at`
+    shift (m, k): additions to q, `Multipliers.at`
     """
-    more_gap, more_jump = shift
-    shifted = None if jump is None else jump + more_jump
-    r = law.respond(gap + more_gap, shifted, history, attraction=attraction, consistent=consistent)
-    r.contact = r.contact - 0.5 * law.penalty * more_gap**2
-    if jump is not None and isinstance(law.electric, EqualPotential):
-        r.electric = r.electric - 0.5 * law.electric.penalty * more_jump**2
-    return r
+    r = law.respond(q + shift, history, mode)
+    energies = dict(r.energies)
+    for name, penalty, more in zip(PENALTY_ENERGIES, law.penalties, shift.T, strict=False):
+        energies[name] = r.energy(name) - 0.5 * penalty * more**2
+    return Response(energies, r.gradient, r.hessian)
 
 
-def electric_share(law: InterfaceLaw, response: Response) -> Array:
+def electric_share(law: ContactLaw, response: Response) -> Array:
     """Share s (m,) of the full penalty for equal potentials that a response has; zero of other laws."""
-    if not isinstance(law.electric, EqualPotential):
-        return np.zeros_like(response.slope)
-    rho = law.electric.penalty
-    return np.where(rho > 0.0, -response.electric_curvature / np.where(rho > 0.0, rho, 1.0), 0.0)
+    rho = law.penalties[1] + np.zeros(len(response.gradient))
+    if response.gradient.shape[1] == 1:
+        return np.zeros_like(rho)
+    return np.where(rho > 0.0, -response.hessian[:, 1, 1] / np.where(rho > 0.0, rho, 1.0), 0.0)

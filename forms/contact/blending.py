@@ -21,9 +21,7 @@ import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
-from piezomat.forms.contact.gap import Projection, variations
-from piezomat.forms.contact.integrals import over_unknowns
-from piezomat.forms.contact.laws.response import Response
+from piezomat.forms.contact.integrals import FacetPairs, PointForces
 
 # Half the width of the band around an edge, over the least height of the facets that meet there, by the order of the
 # mesh. In the array of twelve fibers, 137 Newton iterations without blending, 0.03 takes 133 and a cut step, 0.06 136,
@@ -90,62 +88,37 @@ class BlendedTerms:
 
 
 def blended_vectors(
-    kind: FacetKind,
-    projection: Projection,
-    slave_shape: Array,
-    share: FacetShare,
-    point: Integers,
-    weight: Array,
-    first: tuple[Array, Array],
-    response: Response,
-    components: int,
-    potentials: Array | None,
-    *,
-    tangent: bool,
-    geometric_stiffness: bool = True,
-    roundings: tuple[Array, Array] | None = None,
+    pairs: FacetPairs, share: FacetShare, point: Integers, forces: PointForces, *, tangent: bool
 ) -> BlendedTerms:
     """Residual and tangent of points whose gap and jump are means over several facets.
 
-    projection, slave_shape, share, potentials, roundings (k, ...): of each point and facet, ordered by point
-    point (k,): number of the point; weight, first, response (b,): of each point. Others as of `contact_vectors`.
+    pairs, share (k,): of each point and facet, ordered by point; point (k,): number of the point; forces (b,): of each
     """
-    tilt = (share.first, share.second)
-    v = variations(kind, projection, slave_shape, components, potentials, tilt if tangent else None, second=tangent)
+    v = pairs.vary((share.first, share.second) if tangent else None, second=tangent)
     total = np.bincount(point, share.value)[point]
-    means = [(projection.gap, v.gap, v.gap2, first[0], response.slope)]
-    if potentials is not None:
-        there = np.einsum("mk,mk->m", kind.shape(projection.xi), potentials)
-        means.append((-there, v.jump, v.jump2, first[1], response.charge))
+    values = _values(pairs)
     change_of_share = np.einsum("ma,mar->mr", share.first, v.xi)
-    rows = over_unknowns(kind, v.rows, roundings)
-    k, r, nodes, _ = rows.shape
-    rows = rows.reshape(k, r, nodes * components)
+    k, r, nodes, components = v.rows.shape
+    rows = v.rows.reshape(k, r, nodes * components)
     # First variations of the two means, and that of the share over the sum of shares.
     coefficients, apart, along = [], [], np.zeros_like(change_of_share)
-    for value, change, _, force, _ in means:
+    for value, change, force in zip(values, v.first, forces.residual.T, strict=True):
         apart.append(value - mean_values(point, share.value, value)[point])
         part = (share.value[:, None] * change + apart[-1][:, None] * change_of_share) / total[:, None]
         coefficients.append(part)
         along = along + force[point][:, None] * part
-    each = weight[point]
+    weight, each = forces.weight, forces.weight[point]
     vectors = np.einsum("m,mr,mrn->mn", each, along, rows).reshape(k, nodes, components)
     if not tangent:
         return BlendedTerms(vectors, None, *np.zeros((2, 0), np.int64), None)
     coefficients.append(change_of_share / total[:, None])
     stack = np.stack(coefficients, axis=1)
     middle = np.zeros((len(weight), len(stack[0]), len(stack[0])))
-    middle[:, 0, 0] = response.curvature
-    slopes = [response.slope if geometric_stiffness else np.zeros_like(response.slope)]
-    if potentials is not None:
-        middle[:, 0, 1] = middle[:, 1, 0] = response.mixed
-        middle[:, 1, 1] = response.electric_curvature
-        slopes.append(response.charge)
-    for i, force in enumerate(slopes):
-        middle[:, i, -1] = middle[:, -1, i] = -force
+    middle[:, :-1, :-1] = forces.hessian
+    middle[:, :-1, -1] = middle[:, -1, :-1] = -forces.tangent
     middle = weight[:, None, None] * middle
     own = np.zeros((k, r, r))
-    for (_, change, change2, _, _), off, force in zip(means, apart, slopes, strict=True):
+    for change, change2, off, force in zip(v.first, v.second, apart, forces.tangent.T, strict=True):
         cross = change[:, :, None] * change_of_share[:, None, :]
         bent = share.value[:, None, None] * change2 + off[:, None, None] * v.function2
         own += (each * force[point] / total)[:, None, None] * (bent + cross + np.swapaxes(cross, 1, 2))
@@ -167,34 +140,28 @@ def blended_vectors(
     return BlendedTerms(vectors, matrices, one, other, coupling)
 
 
-def blended_changes(
-    kind: FacetKind,
-    projection: Projection,
-    slave_shape: Array,
-    share: FacetShare,
-    point: Integers,
-    change: Array,
-    potentials: Array | None,
-    *,
-    roundings: tuple[Array, Array] | None = None,
-) -> Array:
-    """First-order changes (2, b) of mean gaps and jumps for changes (k, n, c) of each pair's unknowns.
+def _values(pairs: FacetPairs) -> list[Array]:
+    """Gap (k,) and, with potentials, minus the master's potential (k,), whose means are varied."""
+    gap, potentials = pairs.projection.gap, pairs.potentials
+    if potentials is None:
+        return [gap]
+    return [gap, -np.einsum("mk,mk->m", pairs.kind.shape(pairs.projection.xi), potentials)]
 
-    Arguments as of `blended_vectors` and `first_changes`.
+
+def blended_changes(pairs: FacetPairs, share: FacetShare, point: Integers, change: Array) -> Array:
+    """First-order changes (b, q) of mean gaps and jumps for changes (k, n, c) of each pair's unknowns.
+
+    Arguments as of `blended_vectors`.
     """
-    v = variations(kind, projection, slave_shape, change.shape[2], potentials, second=False)
-    along = np.einsum("mrnc,mnc->mr", over_unknowns(kind, v.rows, roundings), change)
+    v = pairs.vary(second=False)
+    along = np.einsum("mrnc,mnc->mr", v.rows, change)
     shift = np.einsum("ma,mar,mr->m", share.first, v.xi, along)
     total, changes = np.bincount(point, share.value), []
-    there = None if potentials is None else -np.einsum("mk,mk->m", kind.shape(projection.xi), potentials)
-    for value, varied in ((projection.gap, v.gap), (there, v.jump)):
-        if value is None:
-            changes.append(np.zeros(len(total)))
-            continue
+    for value, varied in zip(_values(pairs), v.first, strict=True):
         apart = value - mean_values(point, share.value, value)[point]
         part = share.value * np.einsum("mr,mr->m", varied, along) + apart * shift
         changes.append(np.bincount(point, part) / total)
-    return np.stack(changes)
+    return np.stack(changes, axis=1)
 
 
 def _pairs_of_facets(point: Integers) -> tuple[Integers, Integers]:

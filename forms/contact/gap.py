@@ -168,6 +168,16 @@ class Variations:
     jump2: Array | None = None
     function2: Array | None = None
 
+    @property
+    def first(self) -> list[Array]:
+        """First variations (m, r) of the gap and, with potentials, of the jump."""
+        return [self.gap] if self.jump is None else [self.gap, self.jump]
+
+    @property
+    def second(self) -> list[Array]:
+        """Second variations (m, r, r) of the same."""
+        return [self.gap2] if self.jump is None else [self.gap2, self.jump2]
+
 
 def variations(
     kind: FacetKind,

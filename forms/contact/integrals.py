@@ -5,14 +5,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
-from piezomat.forms.contact.gap import Projection, variations
-from piezomat.forms.contact.laws.response import Response
+from piezomat.forms.contact.gap import Projection, Variations, variations
 from piezomat.forms.contact.smoothing import to_corners
 
 
@@ -88,74 +89,86 @@ def _points(kind: FacetKind, xi: Array, area: Array, weight: Array) -> SlavePoin
     return SlavePoints(facet, place, xi[place], kind.shape(xi)[place], weight[used], area[used])
 
 
-def contact_vectors(
-    kind: FacetKind,
-    projection: Projection,
-    slave_shape: Array,
-    weight: Array,
-    first: tuple[Array, Array],
-    response: Response,
-    components: int,
-    potentials: Array | None,
-    *,
-    tangent: bool,
-    geometric_stiffness: bool = True,
-    roundings: tuple[Array, Array] | None = None,
-) -> tuple[Array, Array | None]:
+@dataclass(frozen=True)
+class FacetPairs:
+    """Pairs of slave and master facets (k,), in the unknowns of whose nodes the kinematics of contact points are given.
+
+    kind, projection: master facets and the closest points of the pairs' points on them
+    slave_shape (k, n): shape functions of the slave facets at the points
+    components: unknowns of a node, c
+    potentials (k, n): nodal values of the potential unknown on the master facets; None without a jump
+    roundings: offsets (k, i, d) of smoothed slave and master facets, whose nodes in the pair are the corners only
+    """
+
+    kind: FacetKind
+    projection: Projection
+    slave_shape: Array
+    components: int
+    potentials: Array | None
+    roundings: tuple[Array, Array] | None = None
+
+    def vary(self, function: tuple[Array, Array] | None = None, *, second: bool) -> Variations:
+        """Variations of gap and jump, see `variations`, in terms of the nodes with unknowns."""
+        given = self.kind, self.projection, self.slave_shape, self.components, self.potentials
+        v = variations(*given, function, second=second)
+        return replace(v, rows=over_unknowns(self.kind, v.rows, self.roundings))
+
+
+@dataclass(frozen=True)
+class PointForces:
+    """Gradients and Hessians of m points by their kinematics q (m, k): the gap, and the jump of the potential unknown.
+
+    weight (m,): of the integral
+    residual (m, k): gradient that the residual has: at the present gaps and jumps, also where others are predicted
+    tangent (m, k): gradient whose changes of direction the tangent has; zero for the gap without geometric stiffness
+    hessian (m, k, k): of the tangent
+    """
+
+    weight: Array
+    residual: Array
+    tangent: Array
+    hessian: Array
+
+    def __getitem__(self, points: Integers) -> PointForces:
+        return PointForces(self.weight[points], self.residual[points], self.tangent[points], self.hessian[points])
+
+
+def contact_vectors(pairs: FacetPairs, forces: PointForces, *, tangent: bool) -> tuple[Array, Array | None]:
     """Residual vectors (m, n_pair, c) and, with `tangent`, matrices (m, n_pair * c, n_pair * c) of contact points.
 
-    Derivatives of weight * enthalpy by the unknowns of the pair, slave nodes first.
-
-    kind, projection: master facets and the closest points of the m points on them
-    slave_shape (m, n): shape functions of the slave facets at the points
-    weight (m,): of the integral
-    first: traction and charge (m,) of the residual; the response's unless that is a predicted one
-    response: derivatives by gap and jump, the jump being that of the potential unknown
-    components: unknowns of a node, c
-    potentials (m, n): nodal values of the potential unknown on the master facets; None without electric contact
-    tangent: whether to compute matrices
-    geometric_stiffness: whether the tangent includes the rotation of tractions with the facets
-    roundings: offsets (m, k, d) of smoothed slave and master facets, whose nodes in the pair are the corners only
+    Derivatives of weight * enthalpy by the unknowns of each point's pair, slave nodes first.
     """
-    v = variations(kind, projection, slave_shape, components, potentials, second=tangent)
-    along = first[0][:, None] * v.gap
-    if v.jump is not None:
-        along = along + first[1][:, None] * v.jump
-    rows = over_unknowns(kind, v.rows, roundings)
-    m, r, nodes, _ = rows.shape
-    rows = rows.reshape(m, r, nodes * components)
-    vectors = np.einsum("m,mr,mrn->mn", weight, along, rows).reshape(m, nodes, components)
+    v = pairs.vary(second=tangent)
+    along = _sum(forces.residual, v.first)
+    m, r, nodes, components = v.rows.shape
+    rows = v.rows.reshape(m, r, nodes * components)
+    vectors = np.einsum("m,mr,mrn->mn", forces.weight, along, rows).reshape(m, nodes, components)
     if not tangent:
         return vectors, None
-    matrix = response.slope[:, None, None] * v.gap2 if geometric_stiffness else np.zeros_like(v.gap2)
-    matrix += response.curvature[:, None, None] * v.gap[:, :, None] * v.gap[:, None, :]
-    if v.jump is not None:
-        cross = v.gap[:, :, None] * v.jump[:, None, :]
-        matrix += response.mixed[:, None, None] * (cross + np.swapaxes(cross, 1, 2))
-        matrix += response.electric_curvature[:, None, None] * v.jump[:, :, None] * v.jump[:, None, :]
-        matrix += response.charge[:, None, None] * v.jump2
-    matrix *= weight[:, None, None]
+    matrix = _sum(forces.tangent, v.second)
+    for i, one in enumerate(v.first):
+        matrix += forces.hessian[:, i, i, None, None] * one[:, :, None] * one[:, None, :]
+        for j, other in enumerate(v.first[:i]):
+            cross = one[:, :, None] * other[:, None, :]
+            matrix += forces.hessian[:, i, j, None, None] * (cross + np.swapaxes(cross, 1, 2))
+    matrix *= forces.weight[:, None, None]
     return vectors, np.swapaxes(rows, 1, 2) @ (matrix @ rows)
 
 
-def first_changes(
-    kind: FacetKind,
-    projection: Projection,
-    slave_shape: Array,
-    change: Array,
-    potentials: Array | None,
-    *,
-    roundings: tuple[Array, Array] | None = None,
-) -> Array:
-    """First-order changes (2, m) of gap and jump for changes (m, n_pair, c) of the pair's unknowns, slave nodes first.
+def _sum(factors: Array, values: list[Array]) -> Array:
+    """Sum over k of factors (m, k) times values (m, ...)."""
+    each = (factors[:, k].reshape(-1, *[1] * (value.ndim - 1)) * value for k, value in enumerate(values))
+    return reduce(add, each)
 
-    The jump is that of the potential unknown; without the master's `potentials` (m, n) its change is zero. Other
-    arguments as of `contact_vectors`.
+
+def first_changes(pairs: FacetPairs, change: Array) -> Array:
+    """First-order changes (m, k) of gap and jump for changes (m, n_pair, c) of each pair's unknowns, slave nodes first.
+
+    The jump is that of the potential unknown.
     """
-    v = variations(kind, projection, slave_shape, change.shape[2], potentials, second=False)
-    along = np.einsum("mrnc,mnc->mr", over_unknowns(kind, v.rows, roundings), change)
-    jump = np.zeros_like(v.gap) if v.jump is None else v.jump
-    return np.stack([np.einsum("mr,mr->m", first, along) for first in (v.gap, jump)])
+    v = pairs.vary(second=False)
+    along = np.einsum("mrnc,mnc->mr", v.rows, change)
+    return np.stack([np.einsum("mr,mr->m", first, along) for first in v.first], axis=1)
 
 
 def over_unknowns(kind: FacetKind, rows: Array, roundings: tuple[Array, Array] | None) -> Array:

@@ -57,8 +57,9 @@ def minus_as_plus(interfaces_of: Any) -> Any:
     def flipped(model: Any) -> Any:
         contact = interfaces_of(model)
         for p in contact.surface_pairs:
-            if isinstance(p.law.electric, EqualPotential):
-                p.law.electric.penalty[:] *= -1.0
+            for law in p.law.summands():
+                if isinstance(law, EqualPotential):
+                    law.penalty[:] *= -1.0
         return contact
 
     return flipped

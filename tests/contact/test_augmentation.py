@@ -11,9 +11,8 @@ from mpi4py import MPI
 from piezomat.forms.contact.augmentation import Multipliers, augmented_response
 from piezomat.forms.contact.facets import facet_kind
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
-from piezomat.forms.contact.laws.equal_potential import EqualPotential
-from piezomat.forms.contact.laws.interface import InterfaceLaw
-from piezomat.forms.contact.laws.response import History
+from piezomat.forms.contact.laws.equal_potential import ConductingBonds, EqualPotential
+from piezomat.forms.contact.laws.penalty import NormalPenalty
 from piezomat.scene import Scene, SceneError
 from piezomat.simulation import NotConverged, run
 from tests.scenes import press
@@ -138,24 +137,23 @@ def test_responses_are_derivatives_of_the_enthalpy(rng: np.random.Generator) -> 
     n, h = 500, 1e-7
     penalty = np.full(n, 2000.0)
     equal = EqualPotential(np.full(n, 0.3), np.full(n, 0.004), 0.0)
-    law = InterfaceLaw(penalty, CohesiveLaw.bilinear(5.0, 0.05, penalty), equal)
-    gap, jump = rng.uniform(-0.01, 0.02, n), rng.standard_normal(n)
-    history = History(rng.uniform(size=n) < 0.5, np.zeros(n))
-    shift = (-rng.uniform(0.0, 0.005, n), rng.standard_normal(n))
-    seen = gap + shift[0]
+    law = NormalPenalty(penalty) + ConductingBonds((CohesiveLaw.bilinear(5.0, 0.05, penalty), equal))
+    q = np.column_stack([rng.uniform(-0.01, 0.02, n), rng.standard_normal(n)])
+    history = np.column_stack([rng.uniform(size=n) < 0.5, np.zeros(n)])
+    shift = np.column_stack([-rng.uniform(0.0, 0.005, n), rng.standard_normal(n)])
+    seen = (q + shift)[:, 0]
     smooth = np.min([np.abs(seen - kink) for kink in (0.0, 0.0025, 0.004, 0.018, 0.02)], axis=0) > 1e-5
 
     def enthalpy(more_gap: float, more_jump: float) -> np.ndarray:
-        r = augmented_response(law, gap + more_gap, jump + more_jump, history, shift)
-        return r.contact + r.adhesion + r.dissipated - r.electric
+        return augmented_response(law, q + [more_gap, more_jump], history, shift).enthalpy
 
-    r = augmented_response(law, gap, jump, history, shift)
+    r = augmented_response(law, q, history, shift)
     slope = (enthalpy(h, 0.0) - enthalpy(-h, 0.0)) / (2 * h)
     charge = (enthalpy(0.0, h) - enthalpy(0.0, -h)) / (2 * h)
-    np.testing.assert_allclose(r.slope[smooth], slope[smooth], atol=1e-5)
+    np.testing.assert_allclose(r.traction[smooth], slope[smooth], atol=1e-5)
     np.testing.assert_allclose(r.charge[smooth], charge[smooth], atol=1e-7)
     pressed = seen < 0.0
-    np.testing.assert_allclose(r.slope[pressed], 2000.0 * seen[pressed], rtol=1e-12)
+    np.testing.assert_allclose(r.traction[pressed], 2000.0 * seen[pressed], rtol=1e-12)
 
 
 def test_a_step_takes_in_what_presses_and_lets_go_of_what_does_not() -> None:
@@ -169,7 +167,7 @@ def test_a_step_takes_in_what_presses_and_lets_go_of_what_does_not() -> None:
     np.testing.assert_allclose(new.jump, [[1.5, 0.5]])
     gone = shift.augmented(np.zeros_like(sums))
     assert not gone.gap.any() and not gone.jump.any()
-    gap, jump = new.at(kind, np.array([0, 0]), np.array([[0.0], [0.25]]))
+    gap, jump = new.at(kind, np.array([0, 0]), np.array([[0.0], [0.25]])).T
     np.testing.assert_allclose(gap, [-0.1, -0.075])
     np.testing.assert_allclose(jump, [1.5, 1.25])
     assert Multipliers.none(kind, 4).gap.shape == (4, 2)

@@ -16,9 +16,10 @@ from piezomat.forms.contact.blending import (
 )
 from piezomat.forms.contact.facets import FacetKind, facet_kind
 from piezomat.forms.contact.gap import Projection, project
+from piezomat.forms.contact.integrals import FacetPairs, PointForces
 from piezomat.forms.contact.laws.equal_potential import EqualPotential
-from piezomat.forms.contact.laws.interface import InterfaceLaw
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.penalty import NormalPenalty
+from piezomat.forms.contact.laws.response import Response
 from tests.derivative import slope
 from tests.facets import KINDS, warped_facets
 
@@ -62,8 +63,9 @@ class Fans:
         if electric:
             self.slave = np.concatenate([self.slave, rng.uniform(-1, 1, (*self.slave.shape[:2], 1))], axis=2)
             self.master = np.concatenate([self.master, rng.uniform(-1, 1, (*self.master.shape[:2], 1))], axis=2)
-        law = EqualPotential(rng.uniform(1.0, 2.0, POINTS), np.full(POINTS, 0.08)) if electric else None
-        self.law = InterfaceLaw(rng.uniform(50.0, 100.0, POINTS), None, law)
+        equal = EqualPotential(rng.uniform(1.0, 2.0, POINTS), np.full(POINTS, 0.08))
+        penalty = NormalPenalty(rng.uniform(50.0, 100.0, POINTS))
+        self.law = penalty + equal if electric else penalty
         self.weight = rng.uniform(0.5, 1.5, POINTS)
 
     def project(self, slave: Array, master: Array) -> tuple[Projection, FacetShare]:
@@ -72,28 +74,30 @@ class Fans:
         projection = project(self.kind, points, master[..., :d], self.orientation, self.xi)
         return projection, FacetShare.at(self.kind, projection.xi, self.width)
 
-    def means(self, slave: Array, master: Array) -> tuple[Array, Array | None]:
+    def pairs(self, projection: Projection, master: Array) -> FacetPairs:
+        potentials = master[..., -1] if master.shape[2] > self.dim else None
+        return FacetPairs(self.kind, projection, self.shape[self.point], master.shape[2], potentials)
+
+    def means(self, slave: Array, master: Array) -> Array:
         projection, share = self.project(slave, master)
         gap = mean_values(self.point, share.value, projection.gap)
         if self.components == self.dim:
-            return gap, None
+            return gap[:, None]
         there = np.einsum("mk,mk->m", self.kind.shape(projection.xi), master[..., -1])
         here = np.einsum("mk,mk->m", self.shape, slave[..., -1])
-        return gap, here - mean_values(self.point, share.value, there)
+        return np.column_stack([gap, here - mean_values(self.point, share.value, there)])
 
     def respond(self, slave: Array, master: Array) -> Response:
-        return self.law.respond(*self.means(slave, master), History.virgin(POINTS))
+        return self.law.respond(self.means(slave, master), self.law.virgin(POINTS))
 
     def energy(self, slave: Array, master: Array) -> float:
-        r = self.respond(slave, master)
-        return float(self.weight @ (r.contact - r.electric))
+        return float(self.weight @ self.respond(slave, master).enthalpy)
 
     def terms(self, slave: Array, master: Array, *, tangent: bool) -> BlendedTerms:
         projection, share = self.project(slave, master)
         r = self.respond(slave, master)
-        potentials = master[..., -1] if self.components > self.dim else None
-        given = self.kind, projection, self.shape[self.point], share, self.point, self.weight, (r.slope, r.charge), r
-        return blended_vectors(*given, self.components, potentials, tangent=tangent)
+        forces = PointForces(self.weight, r.gradient, r.gradient, r.hessian)
+        return blended_vectors(self.pairs(projection, master), share, self.point, forces, tangent=tangent)
 
     def residual(self, slave: Array, master: Array) -> tuple[Array, Array]:
         """Derivatives of the energy by the unknowns of slave and master facets."""
@@ -111,7 +115,7 @@ def test_terms_are_derivatives_of_the_energy(name: str, electric: bool, rng: np.
     terms = fans.terms(slave, master, tangent=True)
     residual = fans.residual(slave, master)
     several = np.bincount(point) > 1
-    assert (fans.respond(slave, master).slope[several] < 0.0).sum() > 5
+    assert (fans.respond(slave, master).traction[several] < 0.0).sum() > 5
     n, c = slave.shape[1:]
     for _ in range(3):
         ds, dm = rng.uniform(-1.0, 1.0, slave.shape), rng.uniform(-1.0, 1.0, master.shape)
@@ -138,12 +142,12 @@ def test_first_changes_are_derivatives_of_the_means(name: str, rng: np.random.Ge
     ds, dm = rng.uniform(-1.0, 1.0, fans.slave.shape), rng.uniform(-1.0, 1.0, fans.master.shape)
     projection, share = fans.project(fans.slave, fans.master)
     change = np.concatenate([ds[fans.point], dm], axis=1)
-    given = fans.kind, projection, fans.shape[fans.point], share, fans.point, change
-    found = blended_changes(*given, fans.master[..., -1])
-    expected = slope(lambda h: np.stack(fans.means(fans.slave + h * ds, fans.master + h * dm)), 1e-6)
+    found = blended_changes(fans.pairs(projection, fans.master), share, fans.point, change)
+    expected = slope(lambda h: fans.means(fans.slave + h * ds, fans.master + h * dm), 1e-6)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
-    mechanical = blended_changes(*given[:-1], change[..., : fans.dim], None)
-    np.testing.assert_allclose(mechanical, [expected[0], 0.0 * expected[1]], rtol=1e-6, atol=1e-7)
+    pairs = fans.pairs(projection, fans.master[..., : fans.dim])
+    mechanical = blended_changes(pairs, share, fans.point, change[..., : fans.dim])
+    np.testing.assert_allclose(mechanical, expected[:, :1], rtol=1e-6, atol=1e-7)
 
 
 @each_kind

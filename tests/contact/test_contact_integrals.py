@@ -17,11 +17,18 @@ from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.facets import CURVED_LINE, facet_kind
-from piezomat.forms.contact.integrals import SlavePoints, contact_vectors, nodal_points, quadrature_points
+from piezomat.forms.contact.integrals import (
+    FacetPairs,
+    PointForces,
+    SlavePoints,
+    contact_vectors,
+    nodal_points,
+    quadrature_points,
+)
 from piezomat.forms.contact.laws.cohesive import CohesiveLaw
-from piezomat.forms.contact.laws.equal_potential import EqualPotential
-from piezomat.forms.contact.laws.interface import InterfaceLaw
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.equal_potential import ConductingBonds, EqualPotential
+from piezomat.forms.contact.laws.penalty import NormalPenalty
+from piezomat.forms.contact.laws.response import Response
 from piezomat.meshes.body_mesh import create
 from piezomat.meshes.contact.surface import node_coordinates
 from piezomat.scene import Scene
@@ -137,34 +144,26 @@ class Batch(PairBatch):
         super().__init__(name, rng, 40, 0.1, electric)
         count = len(self.gap)
         penalty = rng.uniform(50.0, 100.0, count)
-        bond = CohesiveLaw.bilinear(2.0, 0.1, penalty) if adhesion else None
-        equal = EqualPotential(rng.uniform(1.0, 2.0, count), np.full(count, 0.08), 0.0) if electric else None
-        self.law = InterfaceLaw(penalty, bond, equal)
-        self.history = History(rng.uniform(size=count) < 0.7, np.zeros(count))
-        self.history.opening[:] = np.where(self.history.touched, rng.uniform(0.0, 0.09, count), 0.0)
+        bond = CohesiveLaw.bilinear(2.0, 0.1, penalty)
+        equal = EqualPotential(rng.uniform(1.0, 2.0, count), np.full(count, 0.08), 0.0)
+        self.law = NormalPenalty(penalty)
+        if adhesion:
+            self.law += ConductingBonds((bond, equal)) if electric else bond
+        touched, opening = rng.uniform(size=count) < 0.7, rng.uniform(0.0, 0.09, count)
+        self.history = np.column_stack([touched, touched * opening])[:, : self.law.history_size]
         self.weight = rng.uniform(0.5, 1.5, count)
 
     def respond(self, q: Array) -> Response:
-        jump = self.jump(q) if self.components > self.dim else None
-        return self.law.respond(self.project(q).gap, jump, self.history)
+        kinematics = [self.project(q).gap, *([self.jump(q)] if self.components > self.dim else [])]
+        return self.law.respond(np.column_stack(kinematics), self.history)
 
     def energy(self, q: Array) -> float:
-        r = self.respond(q)
-        return float(self.weight @ (r.contact + r.adhesion + r.dissipated - r.electric))
+        return float(self.weight @ self.respond(q).enthalpy)
 
     def terms(self, q: Array, *, tangent: bool) -> tuple[Array, Array | None]:
         r = self.respond(q)
-        return contact_vectors(
-            self.kind,
-            self.project(q),
-            self.slave_shape,
-            self.weight,
-            (r.slope, r.charge),
-            r,
-            self.components,
-            self.potentials(q),
-            tangent=tangent,
-        )
+        pairs = FacetPairs(self.kind, self.project(q), self.slave_shape, self.components, self.potentials(q))
+        return contact_vectors(pairs, PointForces(self.weight, r.gradient, r.gradient, r.hessian), tangent=tangent)
 
 
 @each_kind
@@ -208,7 +207,7 @@ def test_mechanical_forces_act_along_one_line(name: str, rng: np.random.Generato
     batch = Batch(name, rng, True, False)
     vectors, _ = batch.terms(batch.unknowns, tangent=False)
     p, r = batch.project(batch.unknowns), batch.respond(batch.unknowns)
-    push = (batch.weight * r.slope)[:, None] * p.normal
+    push = (batch.weight * r.traction)[:, None] * p.normal
     np.testing.assert_allclose(
         vectors[:, : batch.nodes], batch.slave_shape[:, :, None] * push[:, None], rtol=1e-12, atol=1e-13
     )
@@ -288,7 +287,7 @@ class Stack:
         degree = 2 * CURVED_LINE - 1 if d == 2 and order == 2 else degree  # the same points, so the same rule
         ds = ufl.Measure("ds", domain=model.mesh, subdomain_data=tags, metadata={"quadrature_degree": degree})(1)
         law = self.contact.surface_pairs[0].law
-        constants = float(law.penalty[0]), float(law.electric.penalty[0]), model.potential_scale
+        constants = *(float(penalty[0]) for penalty in law.penalties), model.potential_scale
         residual, tangent = interface_forms(space, state, d, *constants, ds)
         rows = (here[self.upper][:, None] * 2 * c + np.arange(2 * c)).ravel().astype(PETSc.IntType)
         matrix = assemble_matrix(tangent)

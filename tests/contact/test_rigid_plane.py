@@ -11,10 +11,12 @@ from mpi4py import MPI
 
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
+from piezomat.forms.contact.laws.equal_potential import EqualPotential
 from piezomat.meshes.body_mesh import create
 from piezomat.results.files import read_history
 from piezomat.scene import Scene, SceneError
 from piezomat.simulation import plan, run
+from tests.laws import summand
 
 YOUNG, POISSON, PERMITTIVITY = 1000.0, 0.3, 1e-4
 HEIGHT, WIDTH, DOWN, VOLTAGE = 0.8, 1.5, 0.01, 3.0
@@ -104,8 +106,9 @@ def test_electric_contact_fades_out_over_a_gap_that_suits_the_voltage(
     stiffness = model.materials[0].mean_stiffness
     wanted = 3.0 * voltage * np.sqrt(PERMITTIVITY / stiffness)
     for plane in interfaces_of(model).planes:
-        assert plane.law.electric.fade == pytest.approx(np.maximum(0.1 * plane.facet_size, wanted))
-        assert len(np.unique(plane.law.electric.fade)) == (1 if voltage == 100.0 else 2)
+        fade = summand(plane.law, EqualPotential).fade
+        assert fade == pytest.approx(np.maximum(0.1 * plane.facet_size, wanted))
+        assert len(np.unique(fade)) == (1 if voltage == 100.0 else 2)
 
 
 def test_an_insulating_plane_shows_the_voltage_of_what_touches_it(comm: MPI.Comm) -> None:
@@ -148,7 +151,7 @@ def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
     state.array[:] = 0.02 * rng.standard_normal(len(state.array))
     # Wide enough that points in the fading part of the law count too.
     for plane in contact.planes if medium == "none" else ():
-        plane.law.electric.fade[:] = 0.3
+        summand(plane.law, EqualPotential).fade[:] = 0.3
     contact.detect(state, 10.0)
 
     def energy(at: Any) -> float:
@@ -165,7 +168,7 @@ def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
     change = state.duplicate()
     change.array[:] = rng.standard_normal(len(change.array))
     terms = contact.evaluate(state, tangent=True)
-    assert len(terms.nodes) > 2 and np.abs(contact.planes[0].response.mixed).max() > 0.0
+    assert len(terms.nodes) > 2 and np.abs(contact.planes[0].response.hessian[:, 0, 1]).max() > 0.0
     product = state.duplicate()
     product.set(0.0)
     contact.add_product(terms, change, product)

@@ -94,7 +94,7 @@ def test_fibers_of_any_poling_are_one_surface_pair(material: str, rng: np.random
     pairs = interfaces_of(Model(other, bodies)).surface_pairs
     # Nothing of the kind of the elastic fiber may meet another of it.
     assert len(pairs) == 3
-    assert sum(p.law.electric is not None for p in pairs) == 1
+    assert sum(p.law.has_charges for p in pairs) == 1
 
 
 @pytest.mark.mpi

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.interface import InterfaceLaw
 from piezomat.forms.contact.laws.medium import AIR, CLOSED, CUT, LARGEST_GAP, Medium, closed_gap
-from piezomat.forms.contact.laws.response import History, Response
+from piezomat.forms.contact.laws.penalty import NormalPenalty
+from piezomat.forms.contact.laws.response import Response
 from piezomat.forms.materials import VACUUM_PERMITTIVITY
 from tests.derivative import slope
 
@@ -31,22 +31,19 @@ def gaps() -> Array:
 @pytest.mark.parametrize(("part", "switch"), [("whole", 0.0), ("near", 0.0), ("rest", 0.0), ("whole", 0.02)])
 def test_gradient_and_hessian_are_derivatives_of_the_energy(part: str, switch: float, rng: np.random.Generator) -> None:
     gap = gaps()
-    jump, virgin = rng.uniform(-3.0, 3.0, len(gap)), History.virgin(len(gap))
-    law = InterfaceLaw(np.full(len(gap), STIFFNESS), None, medium(len(gap), part, switch))
+    law = NormalPenalty(np.full(len(gap), STIFFNESS)) + medium(len(gap), part, switch)
+    q, virgin = np.column_stack([gap, rng.uniform(-3.0, 3.0, len(gap))]), law.virgin(len(gap))
 
     def at(more_gap: float, more_jump: float = 0.0) -> Response:
-        return law.respond(gap + more_gap, jump + more_jump, virgin)
+        return law.respond(q + [more_gap, more_jump], virgin)
 
-    def energy(r: Response) -> Array:
-        return r.contact - r.electric
-
-    r = at(0.0)
-    np.testing.assert_allclose(r.slope, slope(lambda h: energy(at(h)), 1e-7), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(r.curvature, slope(lambda h: at(h).slope, 1e-7), rtol=1e-5, atol=1e-4)
-    np.testing.assert_allclose(r.charge, slope(lambda h: energy(at(0.0, h)), 1e-2), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(r.electric_curvature, slope(lambda h: at(0.0, h).charge, 1e-2), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(r.mixed, slope(lambda h: at(h).charge, 1e-7), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(r.mixed, slope(lambda h: at(0.0, h).slope, 1e-2), rtol=1e-9, atol=1e-9)
+    r, (stiffness, mixed), (_, curvature) = at(0.0), *at(0.0).hessian.transpose(1, 2, 0)
+    np.testing.assert_allclose(r.traction, slope(lambda h: at(h).enthalpy, 1e-7), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(stiffness, slope(lambda h: at(h).traction, 1e-7), rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(r.charge, slope(lambda h: at(0.0, h).enthalpy, 1e-2), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(curvature, slope(lambda h: at(0.0, h).charge, 1e-2), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(mixed, slope(lambda h: at(h).charge, 1e-7), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(mixed, slope(lambda h: at(0.0, h).traction, 1e-2), rtol=1e-9, atol=1e-9)
 
 
 def test_an_open_gap_is_a_plate_capacitor_and_a_closed_one_is_finite() -> None:
@@ -69,11 +66,11 @@ def test_its_two_parts_add_up_and_are_apart_where_they_end() -> None:
 
 
 def test_without_pull_the_capacitance_is_a_given_function() -> None:
-    gap, jump, virgin = np.array([0.002, 0.05]), np.array([1.0, -2.0]), History.virgin(2)
+    q = np.array([[0.002, 1.0], [0.05, -2.0]])
     law = Medium(np.full(2, AIR), CLOSED_GAP, REACH, pulls=False)
-    r, pulling = (InterfaceLaw(np.zeros(2), None, one).respond(gap, jump, virgin) for one in (law, medium(2)))
+    r, pulling = (one.respond(q, one.virgin(2)) for one in (law, medium(2)))
     np.testing.assert_array_equal(r.charge, pulling.charge)
-    assert not r.slope.any() and not r.mixed.any() and not r.curvature.any() and pulling.slope.all()
+    assert not r.traction.any() and not r.hessian[:, 0].any() and pulling.traction.all()
 
 
 def test_the_default_closes_a_gap_as_far_as_the_bodies_ask_for() -> None:

@@ -293,7 +293,7 @@ def test_bodies_of_different_materials_and_one_pass(comm: MPI.Comm) -> None:
     both = mat(bodies={"*": "pvdf", "fiber_2": "elastic", "fiber_5": "elastic"})
     contact = interfaces_of(Model(both, create(comm, both.geometry, both.sizes)))
     assert len(contact.surface_pairs) == 4
-    assert sum(p.law.electric is not None for p in contact.surface_pairs) == 1
+    assert sum(p.law.has_charges for p in contact.surface_pairs) == 1
     once = mat(contact={"passes": 1})
     model = Model(once, create(comm, once.geometry, once.sizes))
     contact = interfaces_of(model)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 from mpi4py import MPI
 
-from piezomat.forms.contact.laws.interface import InterfaceLaw
+from piezomat.forms.contact.laws.law import Sum
 from piezomat.scene import Scene
 from piezomat.simulation import run
 from piezomat.solver import linear
@@ -22,20 +23,11 @@ EFFORT = ("newton", "linear_solves", "krylov")
 WHOLE = {"petsc": {"mat_mumps_icntl_14": 60}}  # an option of the factorization means that of the whole tangent
 
 
-class FailsOnce(InterfaceLaw):
+@dataclass(frozen=True)
+class FailsOnce(Sum):
     """A contact law that fails once, at the evaluation where `left`, shared by its parts, has counted down to zero."""
 
     left: list[int]
-
-    @classmethod
-    def of(cls, law: InterfaceLaw, left: list[int]) -> FailsOnce:
-        """The same law, which fails."""
-        failing = cls(law.penalty, law.adhesion, law.electric)
-        failing.left = left
-        return failing
-
-    def __getitem__(self, rows: Any) -> FailsOnce:
-        return FailsOnce.of(super().__getitem__(rows), self.left)
 
     def respond(self, *given: Any, **more: Any) -> Any:
         """Response, or SolveError."""
@@ -96,7 +88,7 @@ def final_energies(scene: Scene, comm: MPI.Comm, fails_at: int) -> tuple[dict[st
         assert equations.can_be_reduced
         left = [fails_at]  # of all pairs together
         for p in problem.contact.surface_pairs:
-            p.law = FailsOnce.of(p.law, left)
+            p.law = FailsOnce((p.law,), left)
         found = [stepper.advance(step, lambda part: None) for step in steps(scene.load)]
         assert all(whole)  # every solve begins with the whole problem
         evaluations = fails_at - left[0]

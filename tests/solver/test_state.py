@@ -30,7 +30,7 @@ def contents(problem: Problem) -> dict[str, Array]:
     found = {"unknowns": problem.state.array_r.copy(), "prescribed": problem.prescribed_values.copy()}
     found["penetration"] = np.array(contact.last_penetration)
     for i, p in enumerate(contact.point_sets):
-        found |= {f"touched {i}": p.history.touched.copy(), f"opening {i}": p.history.opening.copy()}
+        found[f"history {i}"] = p.history.copy()
         found |= {f"gap {i}": p.multipliers.gap.copy(), f"jump {i}": p.multipliers.jump.copy()}
         found[f"xi {i}"] = p.points.xi.copy()
     return found

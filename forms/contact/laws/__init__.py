@@ -1,1 +1,1 @@
-"""Laws of a contact point: penalty, cohesive, Lennard-Jones, viscous."""
+"""Laws of a contact point: summands of its enthalpy."""

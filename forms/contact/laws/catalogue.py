@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from piezomat.forms.arrays import Array
+from piezomat.forms.contact.laws.law import ContactLaw
 from piezomat.forms.contact.laws.lennard_jones import LennardJones
-from piezomat.forms.contact.laws.response import AdhesionLaw
 
-# From strength (MPa), energy (pJ/um2) and normal penalties (m,), MPa/um; ValueError where they do not go together.
-REVERSIBLE: dict[str, Callable[[float, float, Array], AdhesionLaw]] = {"lennard_jones": LennardJones.of}
+# From strength (MPa), energy (pJ/um2) and normal penalties (m,), MPa/um, to the whole law of the gap, penalty included.
+# ValueError where they do not go together.
+REVERSIBLE: dict[str, Callable[[float, float, Array], ContactLaw]] = {"lennard_jones": LennardJones.of}

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array, Booleans
-from piezomat.forms.contact.laws.response import AdhesionLaw, History, Response, smooth_step
+from piezomat.forms.contact.laws.electric import WithDerivatives, smooth_step
+from piezomat.forms.contact.laws.law import COMPLETE_LAW, ContactLaw, LawMode
+from piezomat.forms.contact.laws.response import Response
 
 CUTOFF_DROP = 0.1  # share of the cut-off's plateau over which the traction falls to zero, so that its slope is finite
 ELECTRIC_RELEASE = 0.9  # share of the final opening up to which a bond keeps the potentials equal
@@ -16,12 +17,14 @@ LOADING_TOLERANCE = 1e-10  # of the final opening: a point this near to its larg
 
 
 @dataclass(frozen=True)
-class CohesiveLaw(AdhesionLaw):
+class CohesiveLaw(ContactLaw):
     """Traction over opening: linear to the strength, constant to `plateau`, linear to zero at `final`; irreversible.
 
     strength MPa; penalty (m,) MPa/um, the elastic stiffness; plateau, final (m,) um; always: bonded from the start.
     `bilinear` has no plateau (Alfano and Crisfield 2001); `cutoff` has one that ends in a short drop (Maugis 1992,
-    Baney and Hui 1997).
+    Baney and Hui 1997). In compression it does nothing.
+
+    history (m, 2): whether a point has touched, 0 or 1, and its largest opening since then, um.
     """
 
     strength: float
@@ -29,6 +32,9 @@ class CohesiveLaw(AdhesionLaw):
     plateau: Array
     final: Array
     always: bool = False
+
+    history_size = 2
+    softens = True
 
     @classmethod
     def bilinear(cls, strength: float, energy: float, penalty: Array, always: bool = False) -> CohesiveLaw:
@@ -60,54 +66,63 @@ class CohesiveLaw(AdhesionLaw):
         return float(self.final.max(initial=0.0))
 
     @property
-    def steepness(self) -> Array:
-        """Rate (m,) at which the traction falls beyond the plateau, MPa/um."""
-        return self.strength / np.maximum(self.final - self.plateau, np.finfo(float).tiny)
-
-    @property
     def energy(self) -> Array:
         """Work of separation (m,), pJ/um2."""
         return self.envelope(self.final)[2]
 
-    def __getitem__(self, rows: NDArray) -> CohesiveLaw:
-        return CohesiveLaw(self.strength, self.penalty[rows], self.plateau[rows], self.final[rows], self.always)
+    def committed(self, q: Array, history: Array) -> Array:
+        """History after a step: points that are closed or, where surfaces always attract, elastic have touched."""
+        gap = q[:, 0]
+        touched = _touched(history) | (gap <= (self.elastic if self.always else 0.0))
+        return np.column_stack([touched, np.where(touched, np.maximum(history[:, 1], gap), 0.0)])
 
-    def bonded(self, history: History) -> Booleans:
-        """Points (m,) that have touched and never opened as far as the final opening."""
-        return history.touched & (history.opening < self.final)
-
-    def touching(self, gap: Array) -> Booleans:
-        """Points that are closed or, where surfaces always attract, within the elastic opening."""
-        return gap <= (self.elastic if self.always else 0.0)
-
-    def on_loss_of_contact(self, history: History) -> History:
+    def on_loss_of_contact(self, history: Array) -> Array:
         """History after the closest point was lost: all bonds are broken."""
-        broken = np.maximum(history.opening, 2.0 * self.final)
-        return History(history.touched, np.where(history.touched, broken, history.opening))
+        broken = np.maximum(history[:, 1], 2.0 * self.final)
+        return np.column_stack([history[:, 0], np.where(_touched(history), broken, history[:, 1])])
 
-    def electric_share(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
+    def bonded(self, history: Array) -> Booleans:
+        """Points (m,) that have touched and never opened as far as the final opening."""
+        return _touched(history) & (history[:, 1] < self.final)
+
+    def broken(self, history: Array) -> Booleans:
+        """Points (m,) that have touched and opened as far as the final opening."""
+        return _touched(history) & (history[:, 1] >= self.final)
+
+    def softening(self, history: Array) -> Array:
+        """Rate (m,) at which the traction falls beyond the plateau, MPa/um, of points that are or may be bonded."""
+        steepness = self.strength / np.maximum(self.final - self.plateau, np.finfo(float).tiny)
+        return steepness * self._attracts(history)
+
+    def _attracts(self, history: Array) -> Booleans:
+        return self.bonded(history) | (self.always & ~_touched(history))
+
+    def electric_share(self, gap: Array, history: Array) -> WithDerivatives:
         """Share (m,) of the electric contact that bonds maintain, with its first and second derivative by the gap."""
         # A function of the gap alone while the bond holds: its slope is a traction, so it must not jump on a return.
         # Surfaces that always attract are bonded within the range from the start: touching must not switch it on.
-        bonded, width = self.bonded(history) | (self.always & ~history.touched), (1.0 - ELECTRIC_RELEASE) * self.final
+        bonded, width = self._attracts(history), (1.0 - ELECTRIC_RELEASE) * self.final
         faded = smooth_step((gap - ELECTRIC_RELEASE * self.final) / width)
         b, b1, b2 = (np.where(bonded, value, 0.0) for value in faded)
         return b, b1 / width, b2 / width**2
 
-    def contribute(self, gap: Array, history: History, response: Response) -> None:
-        """Add the law's slope, curvature and energies to those of the penalty."""
-        loading = (gap > history.opening + LOADING_TOLERANCE * self.final) | (self.always & ~history.touched)
-        furthest = np.where(loading, np.maximum(gap, 0.0), history.opening)
+    def respond(self, q: Array, history: Array, mode: LawMode = COMPLETE_LAW) -> Response:
+        """See `ContactLaw.respond`."""
+        gap, touched, opening = q[:, 0], _touched(history), history[:, 1]
+        loading = (gap > opening + LOADING_TOLERANCE * self.final) | (self.always & ~touched)
+        furthest = np.where(loading, np.maximum(gap, 0.0), opening)
         traction, tangent, work = self.envelope(furthest)
         secant = np.where(furthest > self.elastic, traction / np.maximum(furthest, self.elastic), self.penalty)
-        active = history.touched | self.always
+        active = touched | self.always
         opened = (gap > 0.0) & active
-        response.slope = response.slope + np.where(opened, np.where(loading, traction, secant * gap), 0.0)
-        response.curvature = response.curvature + np.where(opened, np.where(loading, tangent, secant), 0.0)
-        stored = np.where(history.touched, 0.5 * secant * np.maximum(gap, 0.0) ** 2, work)
-        damaged = np.where(history.touched, work - 0.5 * secant * furthest**2, 0.0)
-        response.adhesion = np.where(active, stored, 0.0) - (self.energy if self.always else 0.0)
-        response.dissipated = np.where(active, damaged, 0.0)
+        stored = np.where(touched, 0.5 * secant * np.maximum(gap, 0.0) ** 2, work)
+        damaged = np.where(touched, work - 0.5 * secant * furthest**2, 0.0)
+        energies = {
+            "adhesion": np.where(active, stored, 0.0) - (self.energy if self.always else 0.0),
+            "dissipated": np.where(active, damaged, 0.0),
+        }
+        traction = np.where(opened, np.where(loading, traction, secant * gap), 0.0)
+        return Response.of_gap(q, energies, traction, np.where(opened, np.where(loading, tangent, secant), 0.0))
 
     def envelope(self, opening: Array) -> tuple[Array, Array, Array]:
         """Traction, slope and work (m,) at a monotonically reached opening (m,)."""
@@ -127,6 +142,10 @@ class CohesiveLaw(AdhesionLaw):
             to_g1 + 0.5 * s * (g2 - g1),
         )
         return traction, slope, work
+
+
+def _touched(history: Array) -> Booleans:
+    return history[:, 0] > 0.0
 
 
 def _elastic_opening(strength: float, energy: float, penalty: Array) -> Array:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.response import AdhesionLaw, History, Response
+from piezomat.forms.contact.laws.law import COMPLETE_LAW, ContactLaw, LawMode
+from piezomat.forms.contact.laws.response import Response
 
 CUTOFF_START = 5.0  # gap, in r0, from which the traction (0.5 % of the peak) goes to zero
 EQUILIBRIUM = 15.0 ** (-1 / 6)  # gap without traction, in r0
@@ -24,7 +24,7 @@ NEWTON_ITERATIONS = 60  # from above, on a convex function
 
 
 @dataclass(frozen=True)
-class LennardJones(AdhesionLaw):
+class LennardJones(ContactLaw):
     """Reversible law between surfaces of given strength and energy: without history and without dissipation.
 
     scale MPa, A/(2 pi r0^3); distance um, r0; penalty (m,) MPa/um, in effect below the gap `near` (m,), um.
@@ -34,6 +34,8 @@ class LennardJones(AdhesionLaw):
     distance: float
     penalty: Array
     near: Array
+
+    softens = True
 
     @classmethod
     def of(cls, strength: float, energy: float, penalty: Array) -> LennardJones:
@@ -53,9 +55,6 @@ class LennardJones(AdhesionLaw):
             )
         return cls(scale, distance, penalty, distance * _as_stiff_as(stiffest))
 
-    def __getitem__(self, rows: NDArray) -> LennardJones:
-        return LennardJones(self.scale, self.distance, self.penalty[rows], self.near[rows])
-
     @property
     def hamaker(self) -> float:
         """Hamaker constant A, pJ."""
@@ -72,25 +71,32 @@ class LennardJones(AdhesionLaw):
         return 2.0 * CUTOFF_START * self.distance
 
     @property
-    def steepness(self) -> Array:
+    def penalties(self) -> tuple[Array, float]:
+        """See `ContactLaw`."""
+        return self.penalty, 0.0
+
+    def softening(self, history: Array) -> Array:
         """Largest rate (m,) at which the traction falls with the gap, MPa/um: that at (r0/g)^6 = 2."""
         steepest = -_unit(np.array([2.0 ** (-1 / 6)]))[1][0]
-        return np.full_like(self.penalty, steepest * self.scale / self.distance)
+        return np.full(len(history), steepest * self.scale / self.distance)
 
-    def contribute(self, gap: Array, history: History, response: Response) -> None:
-        """Replace the penalty's slope, curvature and energies by the law's own.
+    def respond(self, q: Array, history: Array, mode: LawMode = COMPLETE_LAW) -> Response:
+        """See `ContactLaw.respond`.
 
         Energies are zero at infinite distance. Below the equilibrium gap the energy at that gap is adhesion and the
         rest is contact; above it all is adhesion.
         """
+        gap = q[:, 0]
         traction, slope, energy = self._at(np.maximum(gap, self.near))
         deeper = np.minimum(gap - self.near, 0.0)
-        response.slope = traction + self.penalty * deeper
-        response.curvature = np.where(gap < self.near, self.penalty, slope)
         energy = energy + deeper * (traction + 0.5 * self.penalty * deeper)
         lowest = self._at(np.array([self.equilibrium_gap]))[2]
-        response.contact = np.where(gap < self.equilibrium_gap, energy - lowest, 0.0)
-        response.adhesion = np.where(gap < self.equilibrium_gap, lowest, energy)
+        energies = {
+            "contact": np.where(gap < self.equilibrium_gap, energy - lowest, 0.0),
+            "adhesion": np.where(gap < self.equilibrium_gap, lowest, energy),
+        }
+        stiffness = np.where(gap < self.near, self.penalty, slope)
+        return Response.of_gap(q, energies, traction + self.penalty * deeper, stiffness)
 
     def _at(self, gap: Array) -> tuple[Array, Array, Array]:
         """Traction, slope and energy at gaps where the law itself holds."""

@@ -7,15 +7,13 @@ touch, which is zero there. Beyond `reach` surfaces do not count as facing: c is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezomat.forms.arrays import Array
-from piezomat.forms.contact.laws.electric import WithDerivatives
+from piezomat.forms.contact.laws.electric import CapacitiveLaw, WithDerivatives, smooth_step
 from piezomat.forms.contact.laws.equal_potential import stable_electric_range
-from piezomat.forms.contact.laws.response import smooth_step
 from piezomat.forms.materials import VACUUM_PERMITTIVITY
 
 CUT = 0.75  # share of the reach from which the capacitance is taken to zero
@@ -26,7 +24,7 @@ CLOSED = 100.0  # capacitance of a closed contact over that of the bodies' thick
 
 
 @dataclass(frozen=True)
-class Medium:
+class Medium(CapacitiveLaw):
     """Capacitance of a gap filled with a medium.
 
     permittivity (m,): pC/(V um), zero where no charge passes
@@ -45,20 +43,17 @@ class Medium:
     rest: bool = False
     pulls: bool = True
     switch: Array | None = None
-
-    def __getitem__(self, rows: NDArray) -> Medium:
-        near, switch = (None if a is None else a[rows] for a in (self.near, self.switch))
-        return replace(self, permittivity=self.permittivity[rows], near=near, switch=switch)
+    rest_gap: float = 0.0
 
     @property
     def interaction_range(self) -> float:
         """Largest gap of any point with a charge, um."""
         if self.near is None or self.rest:
-            return self.reach
-        return min(self.reach, float(self.near.max(initial=0.0)))
+            return self.rest_gap + self.reach
+        return self.rest_gap + min(self.reach, float(self.near.max(initial=0.0)))
 
-    def capacitance(self, gap: Array, bonds: WithDerivatives | None = None) -> WithDerivatives:
-        """Capacitance (m,) with derivatives, see `ElectricLaw`; bonds make no difference."""
+    def capacitance(self, gap: Array) -> WithDerivatives:
+        """Capacitance (m,) with derivatives, see `CapacitiveLaw`."""
         g = np.maximum(gap, 0.0)
         root = np.sqrt(g**2 + self.closed_gap**2)
         c = self.permittivity / root

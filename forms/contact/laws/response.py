@@ -1,120 +1,76 @@
-"""What a contact law gives for a point, the history that it remembers, and what an adhesion law must provide."""
+"""What a law of contact gives for points: energies per area, and the gradient and Hessian of the enthalpy."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezomat.forms.arrays import Array, Booleans
+from piezomat.forms.arrays import Array
+
+# Energies that laws store or dissipate, and their signs in the enthalpy: that of an electric field is negative.
+ENERGIES = {"contact": 1.0, "adhesion": 1.0, "electric": -1.0, "dissipated": 1.0}
 
 
-@dataclass
-class History:
-    """State of contact points at the end of the last converged step.
+@dataclass(frozen=True)
+class Response:
+    """Response of m points at kinematics q = (gap, potential jump), of which k are there.
 
-    touched (m,): whether they have touched; opening (m,), um: the largest opening since then.
+    energies: by their names in `ENERGIES`, each (m,), pJ/um2; those that are zero may be left out
+    gradient (m, k): of the enthalpy by q: traction, MPa, negative in compression; charge, pC/um2
+    hessian (m, k, k): of the enthalpy by q, MPa/um, pC/um3, pC/(V um2)
     """
 
-    touched: Booleans
-    opening: Array
+    energies: Mapping[str, Array]
+    gradient: Array
+    hessian: Array
 
     @classmethod
-    def virgin(cls, points: int) -> History:
-        """History of points that have never touched."""
-        return cls(np.zeros(points, bool), np.zeros(points))
-
-    def __getitem__(self, rows: NDArray) -> History:
-        return History(self.touched[rows], self.opening[rows])
-
-    def copy(self) -> History:
-        """Copy that shares no array."""
-        return History(self.touched.copy(), self.opening.copy())
-
-    def advanced(self, gap: Array, touching: Booleans) -> History:
-        """History after a converged step that ended at `gap` (m,), um, with the points `touching` (m,) in contact."""
-        touched = self.touched | touching
-        return History(touched, np.where(touched, np.maximum(self.opening, gap), 0.0))
-
-
-@dataclass
-class Response:
-    """Derivatives of the enthalpy per area of points by gap g and potential jump j, and energies per area; all (m,).
-
-    slope (MPa): d/dg, the traction, negative in compression; curvature (MPa/um): d2/dg2; charge (pC/um2): d/dj;
-    electric_curvature (pC/(V um2)): d2/dj2; mixed (pC/um3): d2/(dg dj).
-    contact, adhesion, electric (pJ/um2): stored; dissipated (pJ/um2): by irreversible opening.
-    """
-
-    slope: Array
-    curvature: Array
-    charge: Array
-    electric_curvature: Array
-    mixed: Array
-    contact: Array
-    adhesion: Array
-    electric: Array
-    dissipated: Array
-
-    def linearized(self, change: Array) -> tuple[Array, Array]:
-        """Slope and charge extrapolated linearly by changes (2, m) of gap and jump."""
-        gap, jump = change
-        slope = self.slope + self.curvature * gap + self.mixed * jump
-        return slope, self.charge + self.mixed * gap + self.electric_curvature * jump
-
-
-class AdhesionLaw(Protocol):
-    """Adhesion as `InterfaceLaw` uses it: a traction over the gap, added to the penalty against penetration.
-
-    A subclass has `interaction_range`, `steepness`, rows and `contribute` at least: it is then a law without history.
-
-    always: whether surfaces attract each other before they have touched
-    equilibrium_gap: gap without traction, um
-    """
-
-    always: bool = True
-    equilibrium_gap: float = 0.0
+    def of_gap(cls, q: Array, energies: Mapping[str, Array], traction: Array, stiffness: Array) -> Response:
+        """Response at q (m, k) of a law of the gap alone: traction (m,), and its derivative (m,) by the gap."""
+        gradient, hessian = np.zeros_like(q), np.zeros((*q.shape, q.shape[1]))
+        gradient[:, 0], hessian[:, 0, 0] = traction, stiffness
+        return cls(energies, gradient, hessian)
 
     @property
-    @abstractmethod
-    def interaction_range(self) -> float:
-        """Largest gap of any point with a traction, um."""
+    def traction(self) -> Array:
+        """Traction (m,), MPa."""
+        return self.gradient[:, 0]
 
     @property
-    @abstractmethod
-    def steepness(self) -> Array:
-        """Largest rate (m,) at which the traction falls with the gap, MPa/um."""
+    def charge(self) -> Array:
+        """Charge (m,), pC/um2; zero without potentials."""
+        return self.gradient[:, 1] if self.gradient.shape[1] > 1 else np.zeros(len(self.gradient))
 
-    @abstractmethod
-    def __getitem__(self, rows: NDArray) -> AdhesionLaw:
-        """The law of some points."""
+    @property
+    def enthalpy(self) -> Array:
+        """Enthalpy (m,), pJ/um2."""
+        return sum((ENERGIES[name] * value for name, value in self.energies.items()), np.zeros(len(self.gradient)))
 
-    @abstractmethod
-    def contribute(self, gap: Array, history: History, response: Response) -> None:
-        """Change slope, curvature and energies of a response that holds the penalty's."""
+    def energy(self, name: str) -> Array:
+        """Energy (m,) of this name, pJ/um2."""
+        return self.energies.get(name, np.zeros(len(self.gradient)))
 
-    def bonded(self, history: History) -> Booleans:
-        """Whether points (m,) are bonded: none of a law without history, whose attraction is reversible."""
-        return np.zeros(len(history.touched), bool)
+    @property
+    def acts(self) -> Array:
+        """Whether points (m,) have a force or a stiffness."""
+        return self.gradient[:, 0].astype(bool) | np.einsum("mii->mi", self.hessian).any(axis=1)
 
-    def touching(self, gap: Array) -> Booleans:
-        """Whether points touch at these gaps (m,), which the history then records: none without history."""
-        return np.zeros(len(gap), bool)
+    def extrapolated(self, change: Array) -> Array:
+        """Gradient (m, k), extrapolated linearly by a change (m, k) of q."""
+        return self.gradient + np.einsum("mij,mj->mi", self.hessian, change)
 
-    def on_loss_of_contact(self, history: History) -> History:
-        """History of points whose closest point on the other surface no longer exists."""
-        return history
+    def __getitem__(self, rows: Array) -> Response:
+        energies = {name: value[rows] for name, value in self.energies.items()}
+        return Response(energies, self.gradient[rows], self.hessian[rows])
 
-    def electric_share(self, gap: Array, history: History) -> tuple[Array, Array, Array]:
-        """Share (m,) of the electric contact that bonds maintain, with its first and second derivative by the gap."""
-        return (np.zeros_like(gap),) * 3
-
-
-def smooth_step(x: Array) -> tuple[Array, Array, Array]:
-    """Cubic from 1 at x <= 0 to 0 at x >= 1, with first and second derivative (m,)."""
-    y = np.clip(x, 0.0, 1.0)
-    inside = (x > 0.0) & (x < 1.0)
-    return 1.0 - y * y * (3.0 - 2.0 * y), -6.0 * y * (1.0 - y), np.where(inside, -6.0 + 12.0 * y, 0.0)
+    def __add__(self, other: Response) -> Response:
+        names = {**self.energies, **other.energies}
+        both = {
+            name: self.energies[name] + other.energies[name]
+            if name in self.energies and name in other.energies
+            else value
+            for name, value in names.items()
+        }
+        return Response(both, self.gradient + other.gradient, self.hessian + other.hessian)
