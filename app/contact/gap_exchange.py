@@ -200,6 +200,10 @@ class GapExchange:
             matrices = matrices.reshape(-1, n * b, n * b)
         return ContactTerms(p.nodes[first], vectors, matrices)
 
+    def field(self) -> Array:
+        """Field (m,) of the last evaluation, V/um, zero where a gap is closed, see `Medium.field`."""
+        return self._law.field(self.q)
+
     def _pairs_of(self, live: Integers) -> tuple[Integers, Integers]:
         """Order (l,) of some points by their pairs of facets, and where in it each pair begins."""
         pair = self._found.facet[live] * self._masters + self._found.master[live]

@@ -15,6 +15,7 @@ from piezomat.contact.contact_points import ContactPoints, Snapshot
 from piezomat.contact.gap_exchange import AHEAD
 from piezomat.contact.nodal_state import COMPLETE, EvaluationMode, NodalState
 from piezomat.contact.pairs import Pairs
+from piezomat.contact.plate_capacitor import PlateCapacitor
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.search import ContactSearch
 from piezomat.contact.seen_nodes import SeenNodes
@@ -42,6 +43,7 @@ class Interfaces(Term):
     """All surface pairs and rigid planes of a run on this rank. Every method is collective.
 
     surface_pairs, planes: the contact points of each, and `point_sets` those of both
+    plates: the capacitors that planes are with each other
     pairs: numbers and names of the pairs
     nodes: the nodes that this rank sees, after a detection
     state: nodal state of the last evaluation
@@ -64,6 +66,7 @@ class Interfaces(Term):
         pairs: Pairs,
         potential_scale: float | None,
         geodesic: PETSc.Vec | None = None,
+        plates: Sequence[PlateCapacitor] = (),
         *,
         augmented: bool = False,
     ) -> None:
@@ -77,6 +80,7 @@ class Interfaces(Term):
         self.augmented = augmented
         self.surface_pairs = list(surface_pairs)
         self.planes = list(planes)
+        self.plates = list(plates)
         self.point_sets: list[ContactPoints] = [*self.surface_pairs, *self.planes]
         self.space = space  # its mesh owns the communicator
         self.dim: int = space.mesh.geometry.dim
@@ -100,8 +104,8 @@ class Interfaces(Term):
         self.evaluation_failed = False
         self.viscous_regularization = False
         self.last_penetration = 0.0
-        nodes_per_pair = 2 * self.point_sets[0].slave.nodes.shape[1]
-        self._none = {t: ContactTerms.none(nodes_per_pair, self.block_size, tangent=t) for t in (False, True)}
+        self._nodes_per_pair = 2 * self.point_sets[0].slave.nodes.shape[1]
+        self._none = {t: ContactTerms.none(self._nodes_per_pair, self.block_size, tangent=t) for t in (False, True)}
         self._plane_terms: list[ContactTerms] = []
         self._nodes_inside: tuple[NodalState, list[PenetratingNodes]] | None = None
 
@@ -205,7 +209,8 @@ class Interfaces(Term):
         """
         pairs = [p.facet_pairs_within(self.interaction_range + distance) for p in self.surface_pairs]
         planes = [p.facet_pairs_within(max(distance, AHEAD * p.law.interaction_range)) for p in self.planes]
-        return self.nodes.number[np.concatenate([*pairs, *planes])]
+        plates = [p.nodes(self._nodes_per_pair) for p in self.plates]
+        return self.nodes.number[np.concatenate([*pairs, *planes, *plates])]
 
     # --- Evaluation ---
 
@@ -223,6 +228,7 @@ class Interfaces(Term):
         try:
             self._search.update(position, limits)
             terms = [p.evaluate(at, tangent=tangent) for p in self.point_sets]
+            terms += [p.evaluate(at, self._nodes_per_pair, tangent=tangent) for p in self.plates]
             failed = False
         except (np.linalg.LinAlgError, ValueError) as error:
             log.debug("contact cannot be evaluated at this state: %s", error)
@@ -350,13 +356,6 @@ class Interfaces(Term):
 
     # --- Reports ---
 
-    def described(self) -> str:
-        """The pairs in words."""
-        planes = f" and {len(self.planes)} planes" if self.planes else ""
-        if self.pairs.listed or not self.surface_pairs:
-            return f"{len(self.pairs.listed)} contact pairs{planes}"
-        return f"contact between any of {len(self.pairs.bodies)} bodies{planes}"
-
     def touching_bodies(self) -> set[int]:
         """Numbers of the bodies in contact with others or with planes at the last evaluation."""
         found = set().union(*(p.touching_bodies(self.pairs) for p in self.point_sets))
@@ -384,5 +383,6 @@ class Interfaces(Term):
 
     def energies(self, x: PETSc.Vec | None = None) -> dict[str, float]:
         """The `ENERGIES` of the last evaluation, pJ (2D: per um of depth)."""
-        total = parallel.total(self.comm, sum((p.energies() for p in self.point_sets), np.zeros(len(ENERGIES))))
+        every = (*self.point_sets, *self.plates)
+        total = parallel.total(self.comm, sum((p.energies() for p in every), np.zeros(len(ENERGIES))))
         return dict(zip(ENERGIES, total.tolist(), strict=True))

@@ -33,6 +33,13 @@ class Pairs:
             return self.named[number]
         return "-".join(self.bodies[i] for i in divmod(number, len(self.bodies)))
 
+    def described(self) -> str:
+        """The pairs in words."""
+        planes = f" and {len(self.planes)} planes" if self.planes else ""
+        if self.listed or len(self.bodies) < 2:
+            return f"{len(self.listed)} contact pairs{planes}"
+        return f"contact between any of {len(self.bodies)} bodies{planes}"
+
     def of_bodies(self, first: Integers, second: Integers) -> Integers:
         """Numbers of pairs of bodies (m,)."""
         return np.minimum(first, second) * len(self.bodies) + np.maximum(first, second)

@@ -19,6 +19,7 @@ from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.gap import point_normals
+from piezomat.forms.contact.laws.medium import Medium
 from piezomat.forms.contact.smoothing import rounded, spread, to_corners
 from piezomat.meshes.contact.facet_bounds import FACING
 from piezomat.scene.sections import Plane
@@ -48,9 +49,12 @@ class RigidPlane(ContactPoints):
     offset (d,): motion since the beginning, um; by force, of the last detection or evaluation
     potential: V, of an electrode; None of an insulator; with a reference node, of the last evaluation
 
+    Valid after a detection:
+    places (k,): of its reference nodes, numbered as in `SeenNodes`
+
     Valid after an evaluation; all near points are projected:
     surface_potential (r,): potential of the bodies' surfaces, V; None without potentials
-    force (d,): force of this rank's points on the plane, uN
+    force (d,): of the plane on this rank's points, uN
     charge: charge of the plane, pC
     """
 
@@ -61,6 +65,7 @@ class RigidPlane(ContactPoints):
     travel_node: int | None = None
     direction: Array | None = None
     offset: Array = field(init=False)
+    places: Integers = field(init=False)
     potential: float | None = field(init=False, default=None)
     projection: PlaneProjection | None = field(init=False, default=None)
     surface_potential: Array | None = field(init=False, default=None)
@@ -106,12 +111,12 @@ class RigidPlane(ContactPoints):
 
     def _travel_to(self, position: Array) -> None:
         if self.travel_node is not None:
-            self.offset = position[self._places[-1], 0] * self.direction
+            self.offset = position[self.places[-1], 0] * self.direction
 
     def detect(self, nodes: SeenNodes, position: Array, radius: float) -> None:
         """Find the points within `radius` (um) of the plane whose surface faces it, the seen nodes at `position`."""
         self.slave_nodes = nodes.places(self.slave.nodes)
-        self._places = nodes.places(np.array(self.reference_nodes, np.int64))
+        self.places = nodes.places(np.array(self.reference_nodes, np.int64))
         self._travel_to(position)
         corners = rounded(self.slave.kind, position[self.slave_nodes], self.slave.rounding)
         facet = self.points.facet
@@ -132,7 +137,7 @@ class RigidPlane(ContactPoints):
         self.projection = PlaneProjection(self._gap(self.position), np.tile(self.normal, (len(rows), 1)))
         jump = self.surface_potential = None
         if self.reference_node is not None:
-            self.potential = float(at.scale * at.potentials[self._places[0]])
+            self.potential = float(at.scale * at.potentials[self.places[0]])
         if at.potentials is not None:
             self.surface_potential = at.scale * np.einsum(
                 "mk,mk->m", shape, spread(kind, at.potentials[nodes], offsets)
@@ -179,9 +184,9 @@ class RigidPlane(ContactPoints):
         if self.jump is not None:
             changes[:, 1] = at.scale * np.einsum("mk,mk->m", shape, spread(kind, change[nodes, d], offsets))
             if self.reference_node is not None:
-                changes[:, 1] -= at.scale * change[self._places[0], d]
+                changes[:, 1] -= at.scale * change[self.places[0], d]
         if self.travel_node is not None:
-            changes[:, 0] -= change[self._places[-1], 0] * (self.normal @ self.direction)
+            changes[:, 0] -= change[self.places[-1], 0] * (self.normal @ self.direction)
         return changes
 
     def facet_pairs_within(self, distance: float) -> Integers:
@@ -193,8 +198,18 @@ class RigidPlane(ContactPoints):
     def _with_references(self, nodes: Integers) -> Integers:
         """Nodes (k, 2 n): those (k, n) of facets twice, the first of the second half being the reference nodes."""
         twice, n = np.concatenate([nodes, nodes], axis=1), nodes.shape[1]
-        twice[:, n : n + len(self._places)] = self._places
+        twice[:, n : n + len(self.places)] = self.places
         return twice
+
+    def add(self, force: Array, charge: float) -> None:
+        """Take up the force (d,), uN, that the plane exerts on another plane, and its charge, pC, that faces that."""
+        self.force = self.force + force
+        self.charge += charge
+
+    def field(self) -> Array:
+        """Field (r,) in the open gaps of an electrode at the last evaluation, V/um; of an insulator (0,)."""
+        media = [law for law in self.law.summands() if isinstance(law, Medium)]
+        return media[0][self.projected_points].field(self.q) if media else np.zeros(0)
 
     def touching_bodies(self, pairs: Pairs) -> set[int]:
         """Bodies in contact with the plane."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations_with_replacement, product
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from piezomat.contact.interface_laws import (
 )
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.pairs import Pairs
+from piezomat.contact.plate_capacitor import PlateCapacitor
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
@@ -35,6 +36,7 @@ from piezomat.meshes.contact.global_search import MASTER, ONE_TO_ONE, SLAVE, Gho
 from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
+from piezomat.meshes.contact.shadow import covered_area
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
 from piezomat.meshes.mesh_entities import cell_volumes, exterior_facets
 from piezomat.meshes.parallel import redistributed
@@ -46,6 +48,7 @@ LISTED_BODIES = 6  # of more bodies, the pairs have no columns in the history
 # Facets that are nearer to each other than the prescribed motion and this share of half the least thickness are
 # distributed over the ranks.
 NEAR = 0.1
+COVERED = 1e-6  # share of planes that is free by rounding
 
 
 def interfaces_of(model: Model) -> Interfaces | None:
@@ -61,10 +64,10 @@ def interfaces_of(model: Model) -> Interfaces | None:
         surface_pairs, pairs = _of_bodies(model, thickness, names)
     else:
         surface_pairs, pairs = _of_scene(model, names)
-    planes = _planes(model, len(pairs.listed))
+    planes, plates = _planes(model, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
     geodesic = _geodesic(model, thickness) if thickness is not None else None
-    given = model.comm, model.unknowns.space, x, surface_pairs, planes, pairs, scale, geodesic
+    given = model.comm, model.unknowns.space, x, surface_pairs, planes, pairs, scale, geodesic, plates
     return Interfaces(*given, augmented=keys is not None and keys.augment is not None)
 
 
@@ -192,10 +195,10 @@ def _fiber_thickness(model: Model) -> Array:
     return 2.0 * (model.dim - 1) * volume / area
 
 
-def _planes(model: Model, first_number: int) -> list[RigidPlane]:
-    """The planes of the scene, which the outside of all bodies meets."""
+def _planes(model: Model, first_number: int) -> tuple[list[RigidPlane], list[PlateCapacitor]]:
+    """The planes of the scene, which the outside of all bodies meets, and what they are with each other."""
     if not model.scene.planes:
-        return []
+        return [], []
     keys = model.scene.contact or ContactKeys()
     surface_here = _facets(model, "outside", exterior_facets(model.mesh))
     body = model.bodies.cell_body[surface_here.cells]
@@ -235,6 +238,23 @@ def _planes(model: Model, first_number: int) -> list[RigidPlane]:
                 facet_size=size,
             )
         )
+    return found, [] if medium is None else _plates(model, found, medium.permittivity)
+
+
+def _plates(model: Model, planes: list[RigidPlane], permittivity: float) -> list[PlateCapacitor]:
+    """What planes with a known area are with each other where no body lies between them. Collective."""
+    found = []
+    for first, second in combinations(planes, 2):
+        both = first.plane, second.plane
+        # A given area comes before that of the box.
+        areas = [p.area for p in both if p.area] or [a for p in both if (a := model.scene.area_of(p))]
+        if not (areas and PlateCapacitor.is_between(first, second)):
+            continue
+        corners = first.slave.reference[:, : len(corner_kind(first.slave.kind).nodes)]
+        area = min(areas)
+        free = area - covered_area(model.comm, corners, first.normal)
+        if free > COVERED * area:
+            found.append(PlateCapacitor(first, second, free, permittivity, here=model.comm.rank == 0))
     return found
 
 

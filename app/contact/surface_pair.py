@@ -320,12 +320,12 @@ class SurfacePair(ContactPoints):
         """
         return self._pairs_of_facets(pairs, self.points.facet[self.projected_points], self.master_facet)
 
-    def forces_across(self, pairs: Pairs) -> tuple[Integers, Array]:
-        """Pairs (m,) of the points that exchange charges across open gaps, and their forces (m, d) on the first, uN."""
+    def across_gaps(self, pairs: Pairs) -> tuple[Integers, Array, Array]:
+        """Pairs (m,) of the points that exchange charges across gaps; forces (m, d) on the first, uN; fields, V/um."""
         if self.exchange is None:
-            return np.zeros(0, np.int64), np.zeros_like(self.force[:0])
+            return np.zeros(0, np.int64), np.zeros_like(self.force[:0]), np.zeros(0)
         number, first = self._pairs_of_facets(pairs, *self.exchange.facet_pairs())
-        return number, np.where(first, 1.0, -1.0)[:, None] * self.exchange.force
+        return number, np.where(first, 1.0, -1.0)[:, None] * self.exchange.force, self.exchange.field()
 
     def _pairs_of_facets(self, pairs: Pairs, facet: Integers, master_facet: Integers) -> tuple[Integers, Booleans]:
         """The same of slave and master facets (r,)."""

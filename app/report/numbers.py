@@ -170,6 +170,9 @@ class Numbers:
         jump = self._largest("max_potential_jump")
         if jump is not None and jump[1] > 0.0:
             yield Number("max_potential_jump", "largest potential jump", jump[1], "V", jump[0])
+        field = self._largest("max_field")
+        if field is not None and field[1] > 0.0:
+            yield Number("max_field", "largest field in an open gap", field[1], "V/um", field[0])
         across = [
             (float(values[values > 0.0].min()), name.partition("@")[2])
             for name in self.names

@@ -68,7 +68,7 @@ def _largest_of_pairs(directory: Path) -> dict[str, float]:
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             for name, value in row.items():
-                if name in ("max_pressure", "max_penetration", "max_potential_jump"):
+                if name in ("max_pressure", "max_penetration", "max_potential_jump", "max_field"):
                     largest[name] = max(largest.get(name, 0.0), float(value))
     return largest
 

@@ -20,8 +20,8 @@ class PairTotals:
     force (d,): on the first body, uN.
     area, bonded_area: where the gap is closed, and where adhesion has not broken, um2.
     max_pressure (MPa), max_penetration (um, of points and of the slave's nodes), max_potential_jump (V, of points that
-    touch or are bonded): 0 for none. facets_across: least number across a place that carries some of the load, 0 for
-    none; not of sums.
+    touch or are bonded), max_field (V/um, in open gaps): 0 for none. facets_across: least number across a place that
+    carries some of the load, 0 for none; not of sums.
     """
 
     force: Array
@@ -30,6 +30,7 @@ class PairTotals:
     max_pressure: float
     max_penetration: float
     max_potential_jump: float
+    max_field: float = 0.0
     facets_across: float = 0.0
 
     @classmethod
@@ -46,6 +47,7 @@ class PairTotals:
             float(np.maximum(self.max_pressure, other.max_pressure)),
             float(np.maximum(self.max_penetration, other.max_penetration)),
             float(np.maximum(self.max_potential_jump, other.max_potential_jump)),
+            float(np.maximum(self.max_field, other.max_field)),
         )
 
 
@@ -55,7 +57,7 @@ class PlaneTotals:
 
     travel: along the normal, um. force (d,): that the plane exerts on the bodies, uN. area: um2. max_pressure: MPa.
     max_penetration: um. charge: of an electrode, pC. potential: of an electrode its own, V; of an insulator the mean
-    over the surfaces that touch it, nan where none does. facets_across: see `PairTotals`.
+    over the surfaces that touch it, nan where none does. max_field, facets_across: see `PairTotals`.
     """
 
     travel: float
@@ -65,11 +67,12 @@ class PlaneTotals:
     max_penetration: float
     charge: float
     potential: float
+    max_field: float = 0.0
     facets_across: float = 0.0
 
 
 def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
-    """Totals of each pair that is in contact at the last evaluation, by its number. Collective."""
+    """Totals of each pair in contact or with charges across a gap at the last evaluation, by its number. Collective."""
     mine: dict[int, PairTotals] = {}
     none = PairTotals.none(contact.dim)
     for p in contact.surface_pairs:
@@ -89,9 +92,10 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
             *total, touching, sticking = sums[of].sum(axis=0)
             points = PairTotals(np.array(total), touching, sticking, *largest[of].max(axis=0))
             mine[int(pair)] = mine.get(int(pair), none) + points
-        number, force = p.forces_across(contact.pairs)
-        for pair in np.unique(number[force.any(axis=1)]):
-            across = replace(none, force=force[number == pair].sum(axis=0))
+        number, force, field = p.across_gaps(contact.pairs)
+        for pair in np.unique(number[force.any(axis=1) | (field > 0.0)]):
+            of = number == pair
+            across = replace(none, force=force[of].sum(axis=0), max_field=float(field[of].max()))
             mine[int(pair)] = mine.get(int(pair), none) + across
     for nodes in contact.penetrating_nodes():
         for pair in np.unique(nodes.pair):
@@ -127,7 +131,8 @@ def _totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
     pressure = -plane.response.traction * plane.points.weight[plane.near_points] / area
     deepest = max(-plane.projection.gap.min(initial=0.0), plane.penetration_of_nodes(contact.state.position))
-    largest = np.array([pressure.max(initial=0.0), deepest])
+    fields = [plane.field().max(initial=0.0), *(p.field for p in contact.plates if any(plane is of for of in p.planes))]
+    largest = np.array([pressure.max(initial=0.0), deepest, max(fields)])
     largest = parallel.largest(contact.comm, largest)
     charge, touching, integral = sums[d:]
     mean = integral / touching if touching > 0.0 else float("nan")
@@ -139,4 +144,5 @@ def _totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
         max_penetration=largest[1],
         charge=charge,
         potential=mean if plane.potential is None else plane.potential,
+        max_field=largest[2],
     )

@@ -13,6 +13,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interface_laws import gap_medium
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array
@@ -198,6 +199,14 @@ FACETS_ACROSS = Quantity(
     "faces",
     attrgetter("facets_across"),
 )
+MAX_FIELD = Quantity(
+    "max_field@{place}",
+    "V/um",
+    "largest field in an open gap, the potential jump over the gap: in the wedge at a contact it reaches hundreds, "
+    "where air would break down",
+    attrgetter("max_field"),
+    lambda model: gap_medium(model) is not None,
+)
 PLANE = Group(
     "P",
     lambda problem: [plane.name for plane in problem.model.scene.planes],
@@ -216,6 +225,7 @@ PLANE = Group(
             "largest penetration of contact points and of nodes",
             attrgetter("max_penetration"),
         ),
+        MAX_FIELD,
         Quantity("charge@{place}", "pC", "charge of an electrode", attrgetter("charge"), _electric),
         Quantity(
             "mean_potential@{place}",
@@ -280,6 +290,7 @@ PAIR = Group(
             attrgetter("max_potential_jump"),
             _electric,
         ),
+        MAX_FIELD,
         Quantity("bonded_area@{place}", "um2", "area where adhesion has not broken", attrgetter("bonded_area")),
     ],
 )
@@ -360,7 +371,7 @@ def pair_columns(model: Model) -> list[str]:
 
 
 def pair_rows(contact: Interfaces, model: Model) -> list[tuple[str, list[float | int]]]:
-    """Name and values of each pair of bodies that is in contact. Collective."""
+    """Name and values of each pair of bodies that is in contact, or with charges across a gap. Collective."""
     return [
         (contact.pairs.name(number), PAIR.values(model, totals)) for number, totals in totals_of_pairs(contact).items()
     ]

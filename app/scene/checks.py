@@ -163,13 +163,19 @@ def planes(scene: SceneData) -> None:
             raise SceneError(f"{key}.potential", plane.potential, allowed)
         for name in ("follows", "potential_follows"):
             _check_factor(scene, f"{key}.{name}", getattr(plane, name))
+        if plane.area is not None and plane.pressure is None and not _is_electrode(scene, plane):
+            raise SceneError(f"{key}.area", plane.area, "nothing without pressure, unless the plane is an electrode")
         if plane.is_pushed:
             _check_push(scene, key, plane)
 
 
+def _is_electrode(scene: SceneData, plane: Plane) -> bool:
+    return plane.potential is not None or any(plane.name in scene.members(row).planes for row in scene.electrodes)
+
+
 def _check_push(scene: SceneData, key: str, plane: Plane) -> None:
     """A plane by force presses on the bodies at every load level: nothing would hold one that is pulled away."""
-    if plane.pressure is not None and scene.pressed_area(plane) is None:
+    if plane.pressure is not None and scene.area_of(plane) is None:
         allowed = (
             "the area that the pressure acts on, um2 (2D: um): only built shapes in a box know that of top and bottom"
         )

@@ -136,10 +136,10 @@ class SceneData(Keys):
         if plane.force is not None:
             size = float(np.linalg.norm(plane.force))
             return np.array(plane.force) / size, size
-        return plane.inward(self.dimension), plane.pressure * self.pressed_area(plane)
+        return plane.inward(self.dimension), plane.pressure * self.area_of(plane)
 
-    def pressed_area(self, plane: Plane) -> float | None:
-        """Area that the pressure of a plane acts on, um2 (2D: um): given, or a box's seen from above; None: unknown."""
+    def area_of(self, plane: Plane) -> float | None:
+        """Area of a plane, um2 (2D: um): given, or of a box seen from above; None: unknown."""
         if plane.area is not None or isinstance(self.geometry, MeshFile) or plane.point not in ("bottom", "top"):
             return plane.area
         return self.geometry.area

@@ -146,7 +146,9 @@ class Plane(Keys):
     )
     pressure: Positive | None = Field(None, description="MPa, instead of a force: pushes the plane along its normal")
     area: Positive | None = Field(
-        None, description="um2 (2D: um) that pressure acts on; default: a box's area seen from above, of a built shape"
+        None,
+        description="um2 (2D: um) that pressure acts on, and with which electrodes face each other; default: a box's "
+        "area seen from above, of a built shape",
     )
     follows: Name | None = Field(
         None, description="load factor on motion, force or pressure; absent: there from the start"
@@ -163,8 +165,6 @@ class Plane(Keys):
         given = [key for key in ("motion", "force", "pressure") if getattr(self, key) is not None]
         if len(given) > 1:
             raise SceneError(given[1], f"both {' and '.join(given)}", "at most one of motion, force and pressure")
-        if self.area is not None and self.pressure is None:
-            raise SceneError("area", self.area, "nothing without pressure")
         if self.follows is not None and not given:
             raise SceneError("follows", shown(self.follows), "nothing without motion, force or pressure")
         if self.potential_follows is not None and self.potential is None:

@@ -21,6 +21,7 @@ UNITS = (
     ("force", "uN", ""),
     ("stress, pressure, stiffness", "MPa", "= uN/um2"),
     ("potential", "V", ""),
+    ("electric field", "V/um", "= MV/m"),
     ("charge", "pC", ""),
     ("capacitance", "pC/V", "= pF"),
     ("energy", "pJ", "= uN um = pC V"),

@@ -12,5 +12,5 @@ def describe(model: Model, problem: Problem, linear: Direct | Multigrid) -> str:
     physics = "displacement and potential" if model.electric else "displacement"
     how = "one linear solve a step" if problem.is_linear else "Newton's method"
     solver = "direct" if isinstance(linear, Direct) else "Krylov with multigrid"
-    contact = "no contact" if problem.contact is None else problem.contact.described()
+    contact = "no contact" if problem.contact is None else problem.contact.pairs.described()
     return f"{model.unknowns.total} unknowns ({physics}), {contact}, {how}, {solver} linear solver"

@@ -12,7 +12,9 @@ from mpi4py import MPI
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.forms.contact.laws.equal_potential import EqualPotential
+from piezomat.forms.materials import VACUUM_PERMITTIVITY
 from piezomat.meshes.body_mesh import create
+from piezomat.meshes.contact.shadow import covered_area
 from piezomat.results.files import read_history
 from piezomat.scene import Scene, SceneError
 from piezomat.simulation import plan, run
@@ -179,6 +181,66 @@ def test_the_tangent_and_the_residual_are_derivatives_of_the_energy(
     assert here @ change.array_r == pytest.approx(slope, rel=1e-6)
     difference = (residual(ahead) - residual(behind)) / (2 * h)
     assert np.linalg.norm(difference - product.array_r) < 1e-5 * np.linalg.norm(product.array_r)
+
+
+def facing(dimension: int, area: float | None = None, **changes: Any) -> Scene:
+    """The block between planes of this area at a voltage; none: bare planes as large as the block."""
+    scene = block(dimension, load={"steps": [1], "factors": {"press": [1.0], "volts": [1.0]}})
+    planes = [row.model_dump(exclude_none=True) for row in scene.planes]
+    planes[0]["area"] = area
+    return block(dimension, **{"planes": planes, "load": scene.load, **changes})
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_planes_are_a_plate_capacitor_where_no_body_lies_between_them(comm: MPI.Comm, dimension: int) -> None:
+    """Three times the block's area is free; without an area there is nothing between bare planes."""
+    covered, up = WIDTH ** (dimension - 1), "yz"[dimension - 2]
+    bare, row = (run(facing(dimension, area), comm).history[-1] for area in (None, 4.0 * covered))
+    distance, free = HEIGHT - DOWN, 3.0 * covered * VACUUM_PERMITTIVITY
+    assert row["charge@lid"] - bare["charge@lid"] == pytest.approx(free * VOLTAGE / distance, rel=1e-6)
+    assert row["electric"] - bare["electric"] == pytest.approx(0.5 * free * VOLTAGE**2 / distance, rel=1e-6)
+    pull = 0.5 * free * (VOLTAGE / distance) ** 2
+    for plane, sign in (("lid", 1.0), ("floor", -1.0)):
+        column = f"force_{up}@{plane}"
+        assert row[column] - bare[column] == pytest.approx(sign * pull, rel=1e-5)
+    assert bare["max_field@lid"] == 0.0 and row["max_field@lid"] == pytest.approx(VOLTAGE / distance, rel=1e-12)
+
+
+def test_a_plane_by_force_is_pulled_by_the_other_one() -> None:
+    """It settles as under the force and the pull; and the capacitance of the free area is that of open electrodes."""
+
+    def pushed(force: float, area: float | None, **lid: Any) -> dict[str, Any]:
+        planes = [
+            {"name": "floor", "point": "bottom", "area": area},
+            {"name": "lid", "point": "top", "force": [0, -force]},
+        ]
+        electrodes = [{"name": "ground", "on": ["floor"], "potential": 0}, {"name": "upper", "on": ["lid"], **lid}]
+        free = block(planes=planes, electrodes=electrodes, load={"steps": [1]}, solver={"tolerance": 1e-12})
+        return run(free, MPI.COMM_SELF).history[-1]
+
+    row = pushed(1.0, 4.0 * WIDTH, potential=200.0)
+    distance, free = HEIGHT - row["travel@lid"], 3.0 * WIDTH * VACUUM_PERMITTIVITY
+    pull = 0.5 * free * (200.0 / distance) ** 2
+    other = pushed(1.0 + pull, None, potential=200.0)
+    assert row["travel@lid"] == pytest.approx(other["travel@lid"], rel=1e-8)
+    assert row["travel@lid"] - pushed(1.0, None, potential=200.0)["travel@lid"] > 0.1 * row["travel@lid"]
+    charged = [pushed(1.0, area, charge=1e-3) for area in (4.0 * WIDTH, None)]
+    difference = charged[0]["capacitance"] - charged[1]["capacitance"]
+    assert difference == pytest.approx(free / distance, rel=0.05)
+    assert charged[0]["voltage@upper"] < charged[1]["voltage@upper"]
+
+
+@pytest.mark.mpi
+def test_what_bodies_cover_of_a_plane(comm: MPI.Comm) -> None:
+    """Two squares that overlap, in a plane askew, and intervals; each on another rank."""
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    squares = np.stack([square, square + [0.5, 0.25, 3.0]])[comm.rank :: comm.size]
+    turned = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    for axes in (np.eye(3), turned):
+        assert covered_area(comm, squares @ axes.T, axes[:, 2]) == pytest.approx(2.0 - 0.5 * 0.75, rel=3e-3)
+    lines = np.array([[[0.0, 0], [1, 1]], [[3, 0], [2, 0]], [[0.5, 2], [1.5, 0]]])[comm.rank :: comm.size]
+    assert covered_area(comm, lines, np.array([0.0, 1.0])) == pytest.approx(2.5, rel=1e-14)
 
 
 def test_a_resumed_run_knows_where_its_planes_were(comm: MPI.Comm, tmp_path: Path) -> None:

@@ -59,10 +59,10 @@ def test_columns_of_every_kind() -> None:
         "contact_area@lid",
         "max_pressure@lid",
     ]
-    wanted += ["facets_across@lid", "max_penetration@lid", "charge@lid", "mean_potential@lid"]
+    wanted += ["facets_across@lid", "max_penetration@lid", "max_field@lid", "charge@lid", "mean_potential@lid"]
     pair = ["contact_force_x", "contact_force_y", "contact_area", "max_pressure"]
     pair += ["facets_across", "max_penetration"]
-    pair += ["max_potential_jump", "bonded_area"]
+    pair += ["max_potential_jump", "max_field", "bonded_area"]
     wanted += [f"{name}@lower-upper" for name in pair]
     assert columns_of(half_discs()) == [*wanted, *ENERGIES, *EFFORT]
     augmented = half_discs(contact={"augment": 1e-3})

@@ -52,6 +52,12 @@ class Medium(CapacitiveLaw):
             return self.rest_gap + self.reach
         return self.rest_gap + min(self.reach, float(self.near.max(initial=0.0)))
 
+    def field(self, q: Array) -> Array:
+        """Field (m,), V/um, at kinematics q (m, 2); zero where a gap is closed or out of reach."""
+        gap = q[:, 0] - self.rest_gap
+        is_open = (gap > 0.0) & (gap < self.reach) & (self.permittivity > 0.0)
+        return np.where(is_open, np.abs(q[:, 1]) / np.hypot(gap, self.closed_gap), 0.0)
+
     def capacitance(self, gap: Array) -> WithDerivatives:
         """Capacitance (m,) with derivatives, see `CapacitiveLaw`."""
         g = np.maximum(gap, 0.0)
