@@ -6,7 +6,7 @@ Lines of a patch are divided by the cell size along them, so that patches are gr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,10 @@ class HalfDisc:
     flat: str
     curved: str
 
+    def in_units_of(self, unit: float) -> HalfDisc:
+        """The same in another unit of length, um."""
+        return replace(self, radius=self.radius / unit)
+
     def outline(self) -> list[Edge]:
         """Edges, with a corner at the apex."""
         first = 0 if self.up else 180
@@ -61,6 +65,10 @@ class Disc:
 
     radius: float
     groups: tuple[str, str, str, str, str, str]
+
+    def in_units_of(self, unit: float) -> Disc:
+        """The same in another unit of length, um."""
+        return replace(self, radius=self.radius / unit)
 
     def outline(self) -> list[Edge]:
         """Edges, with a corner wherever it may touch another body."""
@@ -86,6 +94,10 @@ class Rectangle:
     right: str
     top: str
     left: str
+
+    def in_units_of(self, unit: float) -> Rectangle:
+        """The same in another unit of length, um."""
+        return replace(self, width=self.width / unit, height=self.height / unit)
 
     def outline(self) -> list[Edge]:
         """Edges, with a corner in the middle of the upper side."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import gmsh
@@ -38,6 +38,10 @@ class MeshSizes:
     def tensor(self) -> bool:
         """Whether cells are quadrilaterals or bricks."""
         return self.cells == "tensor"
+
+    def in_units_of(self, unit: float) -> MeshSizes:
+        """The same in another unit of length, um."""
+        return replace(self, size=self.size / unit, contact_size=self.contact_size / unit)
 
     def of(self, body: str) -> tuple[float, float]:
         """Contact size and far size of a body (um)."""
