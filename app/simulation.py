@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from piezomat import __version__, environment
 from piezomat.assembly.problem import Problem
-from piezomat.assembly.terms import NewTerm
+from piezomat.assembly.terms import NewTerm, Terms
 from piezomat.contact.cohesive_zone import coarse_cohesive_zone
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.short_circuit import short_circuit
@@ -115,7 +115,9 @@ def run(
         with timer("setup"):
             model = Model(scene, bodies)
             contact = interfaces_of(model)
-        problem = Problem(model, contact, timer, terms)
+        with timer("assembly"):
+            every = Terms.of(model, contact, terms)
+        problem = Problem(model, every, timer)
         newton = Newton(problem, scene.solver, StepWatch(stop.requested))
         augment_tolerance = scene.contact.augment if scene.contact is not None else None
         stepper = Stepper(problem, newton, scene.solver.max_cutbacks, augment_tolerance)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
@@ -44,7 +45,7 @@ class Watched:
 def stepper_of(scene: Scene, comm: MPI.Comm, before: Hook = nothing, after: Hook = nothing) -> Iterator[Stepper]:
     """A stepper for the scene; `before` and `after` are called around each of its solves. Collective."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    problem = Problem(model, interfaces_of(model), Timer())
+    problem = Problem(model, Terms.of(model, interfaces_of(model)), Timer())
     newton = Newton(problem, scene.solver)
     try:
         tolerance = scene.contact.augment if scene.contact is not None else None

@@ -46,6 +46,10 @@ class NodalLoads(AssembledTerm):
         """Add `vector`."""
         result.axpy(1.0, self.vector)
 
+    def add_external_forces(self, result: PETSc.Vec) -> None:
+        """Add `vector`."""
+        result.axpy(1.0, self.vector)
+
     def _evaluate(self) -> None:
         model = self._model
         if self._form is not None:

@@ -1,26 +1,25 @@
 """The nonlinear problem of one load level: the sum of its terms.
 
-While all assembled terms are constant, their residual is one matrix times the state. Contact, whose tangent changes
-places, comes as matrices of pairs of facets, which are added to that matrix once."""
+While all assembled terms are constant, their residual is one matrix times the state. Terms with a tangent that changes
+places, such as contact, give it as matrices of groups of nodes, which are added to that matrix.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from dolfinx.fem import Function
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from piezomat.assembly.node_groups import joined_blocks, joined_groups
 from piezomat.assembly.tangent_matrix import TangentMatrix
-from piezomat.assembly.terms import NewTerm, Terms
+from piezomat.assembly.terms import Terms
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
-from piezomat.contact.pushed_planes import free_travels
-from piezomat.contact.terms import ContactTerms
+from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.discretization.state import ReadPoints, SavedHistory, State
-from piezomat.discretization.term import Term
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.usage import Timer, give_back_memory
@@ -28,8 +27,8 @@ from piezomat.usage import Timer, give_back_memory
 ROUNDING = 1e-12  # of the potential of a strain of one
 
 
-# result = residual with reactions at x of all but contact.
-ResidualWithoutContact = Callable[[PETSc.Vec, PETSc.Vec], None]
+# result = residual with reactions at x of the assembled terms.
+AssembledResidual = Callable[[PETSc.Vec, PETSc.Vec], None]
 
 
 class Problem:
@@ -40,14 +39,13 @@ class Problem:
         R(x) = sum of the terms' residuals = 0.
 
     model: what is solved
-    terms: the assembled terms
-    contact: the term of the interfaces; None without any
+    terms: what is summed
     state: x
     converged_state: x_n
     factors: load factors of the present load level
     prescribed_values (k,): of the fixed unknowns at the present load level, in the order of `Constraints.fixed`
     residual_with_reactions: R at the last `residual`; at fixed unknowns the reactions less the loads there
-    stiffness_version: number of times that the tangent without contact has changed
+    stiffness_version: number of times that the tangent of the assembled terms has changed
     is_constant: whether that tangent is the same at any state
     is_symmetric: whether the tangent is symmetric
     is_linear: whether one linear solve is enough
@@ -55,10 +53,9 @@ class Problem:
         that gaps are computed from; rounding is a share of it
     """
 
-    def __init__(self, model: Model, contact: Interfaces | None, timer: Timer, further: Sequence[NewTerm] = ()) -> None:
-        """further: what makes terms beside those of the model."""
+    def __init__(self, model: Model, terms: Terms, timer: Timer) -> None:
         self.model = model
-        self.contact = contact
+        self.terms = terms
         self.timer = timer
         self.comm: MPI.Comm = model.comm
         self.state = model.new_vector()
@@ -67,83 +64,66 @@ class Problem:
         self.factors = dict.fromkeys(model.scene.load.factors, 0.0)
         self.prescribed_values = np.zeros(len(model.constraints.fixed))
         with timer("assembly"):
-            self.terms = Terms.of(model, tuple(further))
-            self._stiffness = self.terms.bulk.new_matrix()  # all but contact
+            self._stiffness = terms.new_matrix()  # of the assembled terms
             self._assemble_stiffness()
-        self._every_term: list[Term] = [*self.terms, *([contact] if contact is not None else [])]
-        self.is_constant = all(term.is_constant for term in self.terms)
-        self.is_symmetric = all(term.is_symmetric for term in self.terms)
+        self.is_constant = all(term.is_constant for term in terms.assembled)
+        self.is_symmetric = all(term.is_symmetric for term in terms.assembled)
         self._matrix: TangentMatrix | None = None
-        self._contact_terms: ContactTerms | None = None
         self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
         self.stiffness_version = 0
-        self.is_linear = contact is None and self.is_constant
+        self.is_linear = not terms.blocks and self.is_constant
         length = float(model.parts.size.max())
-        stiffest = contact.largest_penalty if contact is not None else 0.0
+        stiffest = max(term.largest_penalty for term in terms)
         self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
 
     @property
-    def has_weakly_held_bodies(self) -> bool:
-        """Whether nothing but contact and weak springs holds some of the bodies."""
-        return self.model.has_unconstrained_bodies and self.terms.stabilization.factor == 1.0
+    def contact(self) -> Interfaces | None:
+        """The term of the interfaces, for the rules of the solver and for results; None without any."""
+        return self.terms.contact
 
     # --- load steps
 
     def set_loads(self, factors: dict[str, float]) -> None:
         """Go to a load level: loads, planes, and prescribed values, which Newton's start value takes up."""
-        for term in self._every_term:
+        for term in self.terms:
             term.set_loads(factors)
         self.prescribed_values = self.model.constraints.values(factors)
         self.factors = dict(factors)
 
-    def begin_step(self, margin: float, *, approach: bool = True) -> None:
-        """Take the present state for the converged one, and detect contact with a search radius `margin` (um).
-
-        approach: move planes that a force pushes and that touch nothing up to the bodies, which takes no force.
-        """
+    def begin_step(self, margin: float) -> None:
+        """Take the present state for the converged one, and detect what acts on what, see `pair`."""
         self.collect_garbage()
         self.pair(margin)
-        if approach:
-            self._approach(margin)
         self.state.copy(self.converged_state)
-        for term in self._every_term:
+        for term in self.terms:
             term.begin_step(self.converged_state)
-
-    def _approach(self, margin: float) -> None:
-        travels = self.model.constraints.travels
-        if self.contact is None or not len(travels):
-            return
-        free = free_travels(self.contact) * (self.model.loads.forces[-len(travels) :] > 0.0)
-        if free.any():
-            travels.add_values(self.state, free)
-            self.pair(margin)
 
     def return_to_converged_state(self) -> None:
         """Give the unknowns the values of the last converged state; load level and histories stay."""
         self.converged_state.copy(self.state)
-        for term in self._every_term:
+        for term in self.terms:
             term.begin_step(self.converged_state)
 
     def commit(self) -> None:
         """Advance the histories of the terms: the last evaluation is the end of a part of a step that has converged."""
-        for term in self._every_term:
+        for term in self.terms:
             term.commit()
 
     def copy_state(self) -> State:
         """The present unknowns and load level, with the histories of the last converged part of a step."""
-        return State(self.state.array_r.copy(), self.factors, tuple(term.history() for term in self._every_term))
+        return State(self.state.array_r.copy(), self.factors, tuple(term.history() for term in self.terms))
 
     def restore(self, state: State) -> None:
         """Return to a state. What is detected and evaluated is then still that of another one."""
         self.state.array[:] = state.unknowns
         self.set_loads(dict(state.factors))
-        for term, history in zip(self._every_term, state.histories, strict=True):
+        for term, history in zip(self.terms, state.histories, strict=True):
             term.restore(history)
 
     def saved_histories(self) -> SavedHistory:
         """The histories of the terms for a checkpoint."""
         points, scalars = {}, {}
-        for term in self._every_term:
+        for term in self.terms:
             saved = term.saved()
             points |= saved.points
             scalars |= saved.scalars
@@ -152,16 +132,15 @@ class Problem:
     def resume(self, factors: dict[str, float], read: ReadPoints, scalars: Mapping[str, float]) -> None:
         """Take up a load level and the histories of a checkpoint; the unknowns are written to `state`."""
         self.set_loads(factors)
-        for term in self._every_term:
+        for term in self.terms:
             term.resume(read, scalars)
 
     def pair(self, margin: float) -> None:
-        """Detect contact at the present state with a search radius `margin` (um)."""
-        if self.contact is None:
-            return
-        with self.timer("contact"):
-            self.contact.detect(self.state, margin)
-        if self._matrix is not None:
+        """Detect what acts on what at the present state, such as contact, with a search radius `margin` (um)."""
+        for term in self.terms.blocks:
+            with self.timer(term.phase):
+                term.detect(self.state, margin)
+        if self.terms.blocks and self._matrix is not None:
             self._matrix.forget_pattern()
 
     def prescribed_change(self) -> PETSc.Vec:
@@ -190,64 +169,61 @@ class Problem:
         x: PETSc.Vec,
         result: PETSc.Vec,
         mode: EvaluationMode = COMPLETE,
-        without_contact: ResidualWithoutContact | None = None,
+        assembled: AssembledResidual | None = None,
     ) -> None:
-        """result = T^T R(x), zero at the eliminated unknowns, not a number where contact cannot be evaluated.
+        """result = T^T R(x), zero at the eliminated unknowns, not a number where a term cannot be evaluated.
 
-        Sets `residual_with_reactions`. without_contact: what evaluates the residual of all other terms; None: they do.
+        Sets `residual_with_reactions`. assembled: what evaluates the residual of the assembled terms; None: they do.
         """
         with self.timer("assembly"):
-            (without_contact or self._residual_without_contact)(x, self.residual_with_reactions)
-        if self.contact is not None:
-            with self.timer("contact"):
-                terms = self.contact.evaluate(x, mode, tangent=False)
-                self.contact.add_residual(terms, self.residual_with_reactions)
-                if self.contact.evaluation_failed:
-                    self.residual_with_reactions.set(np.nan)
+            (assembled or self._assembled_residual)(x, self.residual_with_reactions)
+        for term in self.terms.blocks:
+            with self.timer(term.phase):
+                term.add_residual(x, self.residual_with_reactions, mode)
         self.residual_with_reactions.copy(result)
         self.model.constraints.reduce(result)
 
     def bulk_residual(self, x: PETSc.Vec) -> PETSc.Vec:
-        """Residual with reactions at x of all but contact, which `residual_with_reactions` then is; a new vector."""
-        self._residual_without_contact(x, self.residual_with_reactions)
+        """Residual with reactions at x of the assembled terms, as `residual_with_reactions` then is; a new vector."""
+        self._assembled_residual(x, self.residual_with_reactions)
         return self.residual_with_reactions.copy()
 
     def external_forces(self) -> Array:
         """Norms, as `Unknowns.norms`, of the external forces at the last `residual`: reactions, loads, rigid planes."""
-        self.terms.loads.vector.copy(self._work)
-        self._work.axpy(-1.0, self.residual_with_reactions)
-        if self.contact is not None:
-            self.contact.add_forces_of_planes(self._work)
+        self.residual_with_reactions.copy(self._work)
+        self._work.scale(-1.0)
+        for term in self.terms:
+            term.add_external_forces(self._work)
         return self.model.unknowns.norms(self._work)
 
-    def _residual_without_contact(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
+    def _assembled_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         if self.is_constant:
             self._stiffness.mult(x, result)
-            for term in self.terms:
+            for term in self.terms.assembled:
                 term.add_constant_residual(result)
             return
         self.model.set_trial_state(x)
         result.set(0.0)
-        for term in self.terms:
+        for term in self.terms.assembled:
             term.add_residual(x, result)
 
     # --- tangent
 
     def linearize(self, x: PETSc.Vec, mode: EvaluationMode = COMPLETE) -> None:
-        """Take the tangent at x for `multiply`, `tangent`, `contact_terms` and `linearized_contact_residual`."""
+        """Take the tangent at x for `multiply`, `tangent`, `blocks` and `linearized_block_residual`."""
         if not self.is_constant:
             with self.timer("assembly"):
                 self.model.set_trial_state(x)
                 self._assemble_stiffness()
                 self._renew_stiffness()
-        if self.contact is not None:
-            with self.timer("contact"):
-                self._contact_terms = self.contact.evaluate(x, mode, tangent=True)
+        for term in self.terms.blocks:
+            with self.timer(term.phase):
+                term.linearize(x, mode)
 
     def tangent(self) -> tuple[PETSc.Mat, bool]:
         """The tangent T^T K T as a matrix, and whether its pattern differs from the last."""
-        nodes, matrices = self.contact_terms()
-        reserve = self.contact.candidate_nodes() if self.contact is not None else nodes
+        nodes, matrices = self.blocks()
+        reserve = joined_groups([term.reserve() for term in self.terms.blocks])
         with self.timer("assembly"):
             if self._matrix is None:
                 self._matrix = self._new_matrix()
@@ -255,15 +231,12 @@ class Problem:
             self._matrix.eliminate()
         return matrix, fresh
 
-    def contact_terms(self) -> tuple[Integers, Array]:
-        """Contact's part of the tangent: global nodes (k, n) of each pair of facets here, its matrix (k, n b, n b)."""
-        if self.contact is None:
-            size = 2 * self.model.unknowns.block
-            return np.zeros((0, 2), np.int64), np.zeros((0, size, size))
-        return self.contact.global_nodes(self._contact_terms), self._contact_terms.matrices
+    def blocks(self) -> tuple[Integers, Array]:
+        """The tangent of the block terms: global nodes (k, n) of each group here, its matrix (k, n b, n b)."""
+        return joined_blocks([term.blocks() for term in self.terms.blocks], self.model.unknowns.block)
 
     def bulk_stiffness(self) -> PETSc.Mat:
-        """The tangent T^T K T without contact; a new matrix."""
+        """The tangent T^T K T of the assembled terms; a new matrix."""
         if self.model.constraints.ties:
             without = self._new_matrix()
             none = np.zeros((0, 1), np.int64), np.zeros((0, without.block, without.block))
@@ -280,19 +253,20 @@ class Problem:
     def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent K times a change of all unknowns, none eliminated."""
         self._stiffness.mult(change, result)
-        if self.contact is not None:
-            self.contact.add_product(self._contact_terms, change, result)
+        for term in self.terms.blocks:
+            term.add_product(change, result)
 
-    def linearized_contact_residual(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
-        """result = contact's residual plus its tangent times a change of the state."""
+    def linearized_block_residual(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
+        """result = residual of the block terms plus their tangent times a change of the state."""
         result.set(0.0)
-        self.contact.add_residual(self._contact_terms, result)
-        self.contact.add_product(self._contact_terms, change, result)
+        for term in self.terms.blocks:
+            term.add_linearized_residual(result)
+            term.add_product(change, result)
 
     def _assemble_stiffness(self) -> None:
-        """The tangent of all but contact at the model's state."""
+        """The tangent of the assembled terms at the model's state."""
         self._stiffness.zeroEntries()
-        for term in self.terms:
+        for term in self.terms.assembled:
             term.add_tangent(self._stiffness)
 
     def _renew_stiffness(self) -> None:
@@ -305,7 +279,7 @@ class Problem:
     def energies(self, x: PETSc.Vec) -> dict[str, float]:
         """Energies of all terms at x, where the residual was evaluated last, by name, pJ (2D: per um of depth)."""
         total: dict[str, float] = {}
-        for term in self._every_term:
+        for term in self.terms:
             for name, value in term.energies(x).items():
                 total[name] = total.get(name, 0.0) + value
         return total

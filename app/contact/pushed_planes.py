@@ -6,8 +6,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.nodal_state import EvaluationMode
 from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
 

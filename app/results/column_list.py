@@ -5,6 +5,7 @@ from __future__ import annotations
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.results.quantities import GROUPS, unit_in
@@ -16,7 +17,7 @@ from piezomat.usage import Timer
 def columns_of(scene: Scene, comm: MPI.Comm) -> str:
     """The columns of the history of a scene as text; nothing is solved. Collective."""
     model = Model(scene, mesh_of_run(scene, comm))
-    problem = Problem(model, interfaces_of(model), Timer())
+    problem = Problem(model, Terms.of(model, interfaces_of(model)), Timer())
     try:
         return column_list(problem)
     finally:

@@ -17,7 +17,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import EvaluationMode
+from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.linear import LinearSolver
 from piezomat.solver.outcome import NewtonReport
@@ -85,12 +85,12 @@ class ActiveSetPrediction:
             if not PREDICTION_TOLERANCE * residual < error < LARGEST_CHANGE:
                 break
             # The bulk is linear, and stays in balance with the contact forces that were predicted before.
-            problem.linearized_contact_residual(change, self._right)
+            problem.linearized_block_residual(change, self._right)
             self.linear.linearize(x, mode)
             if self.linear.equations.is_exceeded:
                 self.linear.equations.discard()
                 self.linear.linearize(x, mode)  # with more candidates
-            problem.linearized_contact_residual(change, self._work)
+            problem.linearized_block_residual(change, self._work)
             self._right.axpy(-1.0, self._work)
             problem.model.constraints.reduce(self._right)
             with problem.timer("linear_solve"):

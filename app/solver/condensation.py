@@ -86,7 +86,7 @@ class Condensation:
 
         While the problem is reduced, contact beyond the candidates is left out, and noted in `candidates_exceeded`.
         """
-        nodes, matrices = self.problem.contact_terms()
+        nodes, matrices = self.problem.blocks()
         inside = np.isin(nodes, self.candidates).all(axis=1)
         exceeded = self.comm.allreduce(not inside.all(), op=MPI.LOR)
         if self.is_reduced:

@@ -10,7 +10,7 @@ from typing import Protocol
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import EvaluationMode
+from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.solver.condensation import Condensation
 
 

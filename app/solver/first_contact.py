@@ -1,6 +1,6 @@
 """Planes by force that touch nothing: where they meet the bodies, as these are, with the force on them.
 
-A plane is moved up to the bodies when a step begins (`Problem.begin_step`). There contact has no stiffness, and the
+A plane is moved up to the bodies when a step begins. There contact has no stiffness, and the
 force on the plane would throw it through the bodies. So Newton's method starts where the contact with the bodies at
 rest bears the force: one equation for each plane, whose contact stiffens the deeper it presses. What is left out of
 balance is the force on the bodies.
@@ -11,12 +11,26 @@ from __future__ import annotations
 import numpy as np
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import EvaluationMode
-from piezomat.contact.pushed_planes import push
+from piezomat.contact.pushed_planes import free_travels, push
+from piezomat.discretization.evaluation_mode import EvaluationMode
 
 MAX_ITERATIONS = 60  # halvings of a start that is too deep by far
 TOLERANCE = 1e-3  # of the force
 FIRST = 1e-3  # of a facet: first depth
+
+
+def approach(problem: Problem) -> bool:
+    """Move planes by force that touch nothing up to the bodies, at the state of the last detection; whether any has.
+
+    That takes no force. Collective.
+    """
+    contact, travels = problem.contact, problem.model.constraints.travels
+    if contact is None or not len(travels):
+        return False
+    free = free_travels(contact) * (problem.model.loads.forces[-len(travels) :] > 0.0)
+    if free.any():
+        travels.add_values(problem.state, free)
+    return bool(free.any())
 
 
 def settle(problem: Problem, mode: EvaluationMode) -> None:

@@ -27,7 +27,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
+from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.solver.linear import LinearSolver
 
 SLOPE_REDUCTION = 0.5  # largest slope where a search ends, share of the first slope

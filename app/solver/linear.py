@@ -7,7 +7,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
+from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.scene.sections import Solver
 from piezomat.solver.callbacks import CallbackErrors, callback, not_numbers

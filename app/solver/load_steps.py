@@ -19,6 +19,7 @@ from piezomat.discretization.prescription import Factors
 from piezomat.forms.arrays import Array
 from piezomat.forms.contact.laws.equal_potential import EqualPotential, stable_electric_range
 from piezomat.scene.sections import Load
+from piezomat.solver.first_contact import approach
 from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import WANDERING, NewtonReport, SolveError
 from piezomat.solver.snap_through import snap_through, snap_through_work
@@ -176,6 +177,8 @@ class Stepper:
         prescribed = problem.model.prescription.motion(after, before)
         search_radius = self.search_radius(prescribed)
         problem.begin_step(search_radius)
+        if approach(problem):
+            problem.begin_step(search_radius)
         if viscosity is not None:
             problem.residual(problem.state, problem.state.duplicate())
             problem.contact.start_viscous_regularization(viscosity)
@@ -269,7 +272,7 @@ class Stepper:
         """Evaluate residual and contact at the present state, as they are at the end of a step."""
         problem = self.problem
         radius = problem.contact.least_search_radius() if problem.contact is not None else 0.0
-        problem.begin_step(radius, approach=False)
+        problem.begin_step(radius)
         problem.residual(problem.state, problem.state.duplicate())
 
     def search_radius(self, prescribed: float) -> float:

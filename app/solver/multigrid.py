@@ -9,7 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
+from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.discretization.rigid_bodies import rigid_modes
 from piezomat.scene.sections import Solver

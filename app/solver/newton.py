@@ -19,7 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import COMPLETE, EvaluationMode
+from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.scene.errors import SceneError
@@ -199,7 +199,8 @@ class Newton:
     @callback(instead=nothing)
     def _tangent_at(self, snes: PETSc.SNES, x: PETSc.Vec, operator: PETSc.Mat, matrix: PETSc.Mat) -> None:
         problem, linear = self.problem, self.linear
-        limit = CONSISTENT_UNCONSTRAINED if problem.has_weakly_held_bodies else CONSISTENT
+        weakly_held = problem.model.has_unconstrained_bodies and problem.terms.stabilization.factor == 1.0
+        limit = CONSISTENT_UNCONSTRAINED if weakly_held else CONSISTENT
         self._mode = replace(self._mode, consistent=self._report.residuals[-1] < limit)
         if problem.contact is not None:
             problem.contact.set_iteration(snes.getIterationNumber())

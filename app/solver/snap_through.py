@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.nodal_state import EvaluationMode
+from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
 from piezomat.solver.outcome import SolveError

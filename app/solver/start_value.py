@@ -11,7 +11,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.nodal_state import EvaluationMode
+from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.first_contact import settle

@@ -18,6 +18,7 @@ import scipy.sparse.linalg
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
 from piezomat.scene import Scene
@@ -38,7 +39,7 @@ def force(approach: float, facet: float, order: int, kinematics: str) -> float:
     )
     bodies = create(MPI.COMM_SELF, scene.geometry, scene.sizes)
     model = Model(scene, bodies)
-    problem = Problem(model, None, Timer())
+    problem = Problem(model, Terms.of(model, None), Timer())
     touching = dolfinx.fem.locate_dofs_topological(model.unknowns.space, 1, bodies.facets["lower_contact"])
     lower = np.flatnonzero(np.repeat(model.parts.node_part == model.parts.node_part[touching[0]], 2))
     fixed = np.intersect1d(model.constraints.fixed, lower)

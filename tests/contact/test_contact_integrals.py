@@ -257,7 +257,7 @@ class Stack:
         self.contact.detect(state, 1.0)
         terms = self.contact.evaluate(state, tangent=True)
         assert len(self.contact.surface_pairs[0].master_facet) == len(self.contact.surface_pairs[0].points.weight)
-        nodes, c = self.contact.global_nodes(terms), values.shape[1]
+        nodes, c = self.contact.nodes.number[terms.nodes], values.shape[1]
         count = len(values)
         residual, tangent = np.zeros((count, c)), np.zeros((count * c, count * c))
         np.add.at(residual, nodes, terms.vectors)

@@ -59,7 +59,7 @@ def forces(scene: Scene, comm: MPI.Comm, places: list[tuple[float, float]]) -> l
         state.array[:] = motion.ravel()
         contact.detect(state, max(contact.least_search_radius(), 0.7))
         residual = model.new_vector()
-        contact.add_residual(contact.evaluate(state, tangent=False), residual)
+        contact.add_residual(state, residual)
         force = -residual.array_r.reshape(len(upper), -1)[upper, :dim].sum(axis=0)
         assert contact.penetration() <= max(-gap, 0.0) + 1e-12, (offset, gap)
         found.append(comm.allreduce(force))

@@ -7,6 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
@@ -37,7 +38,7 @@ def half_discs(**sections: object) -> Scene:
 
 def columns_of(scene: Scene) -> list[str]:
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
-    problem = Problem(model, interfaces_of(model), Timer())
+    problem = Problem(model, Terms.of(model, interfaces_of(model)), Timer())
     try:
         return columns(problem)
     finally:

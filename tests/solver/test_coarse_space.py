@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.discretization.rigid_bodies import rigid_modes
@@ -54,7 +55,7 @@ def test_the_coarse_space_holds_rigid_motions_of_each_body(comm: MPI.Comm) -> No
     scene = pile(2)
     free = Scene(**{**scene.model_dump(exclude_unset=True), "boundaries": []})
     model = Model(free, create(comm, free.geometry, free.sizes))
-    problem = Problem(model, interfaces_of(model), Timer())
+    problem = Problem(model, Terms.of(model, interfaces_of(model)), Timer())
     coarse = coarse_space.interpolation(model, problem.bulk_stiffness())
     assert coarse.size[1] < 0.5 * coarse.size[0]
     ksp = _conjugate_gradients(coarse.transposeMatMult(coarse))  # of the normal equations: the nearest coarse function
