@@ -141,7 +141,8 @@ def _electric(keys: Contact | None, model: Model, contact: Interfaces | None) ->
         reach = f"open gaps up to {medium.reach:.3g} um pass charges"
         text = f"{reach}, filled with {what}; a closed one counts as {1e3 * medium.closed_gap:.2g} nm of it"
         return [("gaps", text)]
-    laws = [law for p in contact.point_sets for law in p.law.summands()] if contact is not None else []
+    sets = contact.point_sets if contact is not None else []
+    laws = [law for p in sets for possible in p.possible_laws for law in possible.summands()]
     fades = [law.fade for law in laws if isinstance(law, EqualPotential)]
     if not model.comm.allreduce(len(fades)):
         return []

@@ -26,11 +26,12 @@ FAR_GAP = 1e30  # um; gap of a point without a closest point, for the energies o
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Points, history and multipliers at the end of a converged step; none of them is changed any more."""
+    """Points, history, multipliers and what points met at the end of a converged step; none is changed any more."""
 
     points: SlavePoints
     history: Array
     multipliers: Multipliers
+    met: Integers
 
 
 @dataclass(kw_only=True)
@@ -49,6 +50,7 @@ class ContactPoints(ABC):
 
     Kept from step to step:
     history (m, h): of the law, at the end of the last converged step
+    met (m,): kind of the body that each point had met last by then, on which the law depends; 0 of a plane
     multipliers: shifts of gap and jump at the corners of the slave facets, by augmentation
     viscous_bonds (m,): viscous regularization; without stiffness where there is none
 
@@ -73,6 +75,7 @@ class ContactPoints(ABC):
     facet_size: Array
     share: float = 1.0
     history: Array = field(init=False)
+    met: Integers = field(init=False)
     multipliers: Multipliers = field(init=False)
     viscous_bonds: ViscousBonds = field(init=False)
     slave_nodes: Integers = field(init=False)
@@ -87,9 +90,15 @@ class ContactPoints(ABC):
 
     def __post_init__(self) -> None:
         self.history = self.law.virgin(len(self.points.weight))
+        self.met = np.zeros(len(self.points.weight), int)
         self.multipliers = Multipliers.none(self.slave.kind, len(self.slave))
         self.end_viscous_regularization()
         self._keep()
+
+    @property
+    def possible_laws(self) -> list[ContactLaw]:
+        """The laws (m,) that points may have."""
+        return [self.law]
 
     @property
     @abstractmethod
@@ -199,6 +208,7 @@ class ContactPoints(ABC):
         """Return to a snapshot, as the end of the last converged step."""
         self._set_points(snapshot.points)
         self.history, self.multipliers = snapshot.history.copy(), snapshot.multipliers.copy()
+        self.met = snapshot.met.copy()
         self._converged = snapshot
 
     def saved(self, *, augmented: bool) -> Points:
@@ -221,7 +231,7 @@ class ContactPoints(ABC):
         self._keep()
 
     def _keep(self) -> None:
-        self._converged = Snapshot(self.points, self.history.copy(), self.multipliers.copy())
+        self._converged = Snapshot(self.points, self.history.copy(), self.multipliers.copy(), self.met.copy())
 
     def set_multipliers(self, multipliers: Multipliers) -> None:
         """Take up the multipliers of a step of augmentation."""

@@ -15,6 +15,7 @@ from piezomat.contact.plate_capacitor import PlateCapacitor
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.search import ContactSearch
 from piezomat.contact.seen_nodes import SeenNodes
+from piezomat.contact.segmented_pair import SegmentedPair
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
@@ -57,9 +58,9 @@ class Detection:
         self.dim: int = space.mesh.geometry.dim
         self.block_size: int = space.dofmap.index_map_bs
         self.nodes_per_pair: int = 2 * self.point_sets[0].slave.nodes.shape[1]
-        self.has_segments = any(p.segments for p in self.surface_pairs)
+        self.segmented_pairs = [p for p in self.surface_pairs if isinstance(p, SegmentedPair)]
         # Planes know all their points: their closest points are not searched for.
-        ranges = [p.law.interaction_range for p in self.surface_pairs]
+        ranges = (law.interaction_range for p in self.surface_pairs for law in p.possible_laws)
         self.interaction_range = comm.allreduce(max(ranges, default=0.0), op=MPI.MAX)
         sizes = [np.log(p.facet_size) for p in self.point_sets]
         total = parallel.total(comm, np.array([sum(s.sum() for s in sizes), sum(len(s) for s in sizes)]))
@@ -155,10 +156,10 @@ class Detection:
 
     def has_stale_segments(self) -> bool:
         """Whether segments no longer begin and end at the edges of master facets, at the last evaluation."""
-        if not self.has_segments:
+        if not self.segmented_pairs:
             return False
         before = self.detected_positions
-        stale = any(p.has_stale_segments(before, self.interaction_range) for p in self.surface_pairs)
+        stale = any(p.has_stale_segments(before, self.interaction_range) for p in self.segmented_pairs)
         return self.comm.allreduce(stale, op=MPI.LOR)
 
     def candidate_nodes(self, distance: float = 0.0) -> Integers:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from piezomat.contact.detected_facets import DetectedFacets
 from piezomat.contact.nodal_state import NodalState
+from piezomat.contact.pair_laws import PairLaws
 from piezomat.contact.terms import ContactTerms
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import Facets
@@ -67,9 +68,10 @@ class GapExchange:
 
     Given:
     slave: slave facets (f,) whose points this rank evaluates
-    law (f,): of each facet's points: that of the medium, less what the points of contact have of it
+    laws: of which the medium, less what the points of contact have of it, is the law of the points
     facet_size (f,): um
     share: share of the enthalpy, 1/2 for each of two passes
+    rest_gap: gap of surfaces at rest, um
 
     Valid after an evaluation:
     q (m, 2): gap, um, and potential jump, V; response (m,): of the law, with the mode of the evaluation
@@ -77,9 +79,10 @@ class GapExchange:
     """
 
     slave: SlaveFacets
-    law: ContactLaw
+    laws: PairLaws
     facet_size: Array
     share: float
+    rest_gap: float
 
     def __post_init__(self) -> None:
         kind = self.slave.kind
@@ -92,7 +95,7 @@ class GapExchange:
     @property
     def search_range(self) -> float:
         """Gap up to which partners are found, um."""
-        return AHEAD * self.law.interaction_range
+        return AHEAD * (self.rest_gap + self.laws.medium.reach)
 
     # --- Detection ---
 
@@ -104,9 +107,14 @@ class GapExchange:
         rows = np.flatnonzero(near[self._every.facet])
         points = SlavePoints(*(getattr(self._every, name)[rows] for name in SlavePoints.__dataclass_fields__))
         self._found = middles[~near[middles.facet]].followed_by(self._partners(facets, position, depth, points))
-        self._law = self.law[self._found.facet]
+        self._law = self._law_of_points(facets)
         self._masters = max(len(facets.master), 1)
         self.response = None
+
+    def _law_of_points(self, facets: DetectedFacets) -> ContactLaw:
+        kind, facet = self.laws.kind, self._found.facet
+        master = kind[facets.master.body[self._found.master]]
+        return self.laws.rest(self.facet_size[facet], kind[self.slave.body[facet]], master, self.rest_gap)
 
     def _partners(self, facets: DetectedFacets, position: Array, depth: float, points: SlavePoints) -> _Partners:
         """The points that face a master facet, each with the nearest one."""

@@ -117,36 +117,47 @@ def with_equal_potential(
     return reduce(add, (*others, ConductingBonds((bonds, equal))))
 
 
-def law_of_gap(comm: MPI.Comm, keys: ContactKeys, penalty: Array) -> ContactLaw:
-    """The penalties (m,) of points and the adhesion that the scene asks for. Collective.
+def check_adhesion(comm: MPI.Comm, keys: ContactKeys, penalty: float) -> None:
+    """Raise SceneError on all ranks if the scene's adhesion is stiffer than the least penalty of a point. Collective.
 
-    Raises SceneError on all ranks if the law is stiffer than the penalty of a point.
+    penalty: the least one on this rank, MPa/um
     """
-    if keys.adhesion is None:
-        return NormalPenalty(penalty)
-    adhesion, least = keys.adhesion, comm.allreduce(float(penalty.min(initial=np.inf)), op=MPI.MIN)
+    adhesion = keys.adhesion
+    least = comm.allreduce(penalty, op=MPI.MIN) if adhesion is not None else np.inf
+    if np.isinf(least):
+        return
     if adhesion.law in REVERSIBLE:
-        law = REVERSIBLE[adhesion.law]
         try:
-            law(adhesion.strength, adhesion.energy, np.array([least]))
+            REVERSIBLE[adhesion.law](adhesion.strength, adhesion.energy, np.array([least]))
         except ValueError as error:
             raise SceneError("contact.adhesion.strength", str(error), "a law no stiffer than the penalty") from None
-        return law(adhesion.strength, adhesion.energy, penalty)
-    longest, always = adhesion.strength / least, adhesion.starts == "always"
-    energy = adhesion.energy
-    if energy is None:
+        return
+    longest = adhesion.strength / least
+    if adhesion.energy is None:
         if adhesion.range <= longest:
             raise SceneError(
                 "contact.adhesion.range", f"{adhesion.range:g}", f"more than strength / normal_penalty = {longest:g} um"
             )
+        return
+    spent = 0.5 * adhesion.strength * longest
+    if adhesion.energy <= spent:
+        allowed = f"more than strength^2 / (2 normal_penalty) = {spent:g} pJ/um2, or a larger penalty"
+        raise SceneError("contact.adhesion.energy", f"{adhesion.energy:g}", allowed)
+
+
+def law_of_gap(keys: ContactKeys, penalty: Array) -> ContactLaw:
+    """The penalties (m,) of points and the adhesion that the scene asks for and `check_adhesion` allows."""
+    adhesion = keys.adhesion
+    if adhesion is None:
+        return NormalPenalty(penalty)
+    if adhesion.law in REVERSIBLE:
+        return REVERSIBLE[adhesion.law](adhesion.strength, adhesion.energy, penalty)
+    always = adhesion.starts == "always"
+    if adhesion.energy is None:
         # A range is the same for all points, the energy up to it is not: it depends on the penalty.
         return NormalPenalty(penalty) + CohesiveLaw.cutoff_at(adhesion.strength, adhesion.range, penalty, always)
-    spent = 0.5 * adhesion.strength * longest
-    if energy <= spent:
-        allowed = f"more than strength^2 / (2 normal_penalty) = {spent:g} pJ/um2, or a larger penalty"
-        raise SceneError("contact.adhesion.energy", f"{energy:g}", allowed)
     cohesive = {"bilinear": CohesiveLaw.bilinear, "cutoff": CohesiveLaw.cutoff}[adhesion.law]
-    return NormalPenalty(penalty) + cohesive(adhesion.strength, energy, penalty, always)
+    return NormalPenalty(penalty) + cohesive(adhesion.strength, adhesion.energy, penalty, always)
 
 
 def facet_sizes(facets: SlaveFacets) -> Array:

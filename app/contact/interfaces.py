@@ -70,7 +70,7 @@ class Interfaces(Detection, BlockTerm):
         self.augmented = augmented
         self.potential_scale = potential_scale
         self.adhesive = any(p.law.softens for p in self.surface_pairs)
-        penalties = (float(np.max(p.law.penalties[0], initial=0.0)) for p in self.point_sets)
+        penalties = (float(np.max(law.penalties[0], initial=0.0)) for p in self.point_sets for law in p.possible_laws)
         self.largest_penalty = comm.allreduce(max(penalties), op=MPI.MAX)
         self.evaluation_failed = False
         self.viscous_regularization = False
@@ -206,7 +206,7 @@ class Interfaces(Detection, BlockTerm):
     def resume(self, read: ReadPoints, scalars: Mapping[str, float]) -> None:
         """Take up the history that a checkpoint holds, whatever ranks wrote it."""
         self.last_penetration = scalars["penetration"]
-        for p in self.surface_pairs:
+        for p in self.segmented_pairs:
             p.resume_points(read, int(scalars["places"]))
         for p in self.point_sets:
             p.resume(read, augmented=self.augmented)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, combinations_with_replacement, product
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +11,21 @@ from petsc4py import PETSc
 
 from piezomat.contact.gap_exchange import GapExchange
 from piezomat.contact.interface_laws import (
+    check_adhesion,
     facet_sizes,
     gap_medium,
-    law_of_gap,
     normal_penalty,
     with_equal_potential,
 )
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.pair_laws import PairLaws
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.plate_capacitor import PlateCapacitor
 from piezomat.contact.rigid_plane import RigidPlane
+from piezomat.contact.segmented_pair import SegmentedPair
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
-from piezomat.forms.constitutive import ConstitutiveLaw
 from piezomat.forms.contact.facets import corner_kind
 from piezomat.forms.contact.integrals import SlavePoints, facet_areas, nodal_points, quadrature_points
 from piezomat.forms.contact.laws.law import ContactLaw
@@ -87,7 +87,10 @@ def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair],
             components = [
                 np.full(len(surfaces[name]), component) for name, component in ((slave, SLAVE), (master, MASTER))
             ]
-            passes.append(_pass(model, number, surfaces[slave], surfaces[master], *components, ONE_TO_ONE, first))
+            some = [any(model.materials[i].electric for i in _bodies_of(model, surfaces[name])) for name in pair]
+            laws = _laws(model, electric=all(some))
+            given = surfaces[slave], surfaces[master], *components
+            passes.append(_pass(model, number, *given, ONE_TO_ONE, first, laws))
     names = tuple("-".join(pair) for pair in keys.pairs)
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)), planes)
 
@@ -112,32 +115,21 @@ def _check_twice(model: Model, surfaces: dict[str, Surface]) -> None:
 
 
 def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
-    """The passes of all bodies of a kind against all of another: every two bodies that share no node.
+    """The one pass of all bodies against all: every two bodies that share no node.
 
-    With self-contact, given the `thickness` of parts, every two bodies, and each with itself. Bodies of one kind have
-    the stiffness and the permittivity in common, on which the penalties depend.
+    With self-contact, given the `thickness` of parts, every two bodies, and each with itself.
     """
     bodies, keys = model.bodies, model.scene.contact
     rule = PairingRule(len(bodies.part_bodies), ordered=keys.passes == 1, self_contact=keys.self_contact)
     outside = exterior_facets(model.mesh)
-    whole = surface(model.unknowns.space, "outside", outside, bodies.order)
-    kinds = kinds_of(model.materials)
-    surfaces, components = {}, {}
-    for kind in dict.fromkeys(kinds):
-        of_kind = (np.array(kinds) == kind)[bodies.cell_body[whole.cells]]
-        surfaces[kind] = _facets(model, "bodies", outside[of_kind])
-        cells = surfaces[kind].cells
-        components[kind] = rule.component(bodies.cell_body[cells], bodies.cell_part[cells])
-    components_of_bodies = {kind: [] for kind in surfaces}
-    for part, members in enumerate(bodies.part_bodies):
-        for body in members:
-            components_of_bodies[kinds[body]].append(int(rule.component(body, part)))
+    every = _facets(model, "bodies", outside)
+    component = rule.component(bodies.cell_body[every.cells], bodies.cell_part[every.cells])
+    numbers = [(int(rule.component(body, part)), body) for part, some in enumerate(bodies.part_bodies) for body in some]
     passes = []
-    for slave, master in product(surfaces, repeat=2):
-        every = [np.array(components_of_bodies[kind]) for kind in (slave, master)]
-        if any(rule.allows(component, every[1]).any() for component in every[0]):
-            given = surfaces[slave], surfaces[master], components[slave], components[master]
-            passes.append(_pass(model, len(passes), *given, rule, True, thickness))
+    if _may_meet(rule, [number for number, _ in numbers]):
+        electric = [number for number, body in numbers if model.materials[body].electric]
+        laws = _laws(model, electric=_may_meet(rule, electric))
+        passes.append(_pass(model, 0, every, every, component, component, rule, True, laws, thickness))
     if not passes and not model.scene.planes:
         bonded = [
             f"{named([bodies.bodies[i] for i in members])} share nodes, which bonds them"
@@ -149,13 +141,16 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
     return passes, _pairs_of_bodies(model, planes)
 
 
-def kinds_of(materials: Sequence[ConstitutiveLaw]) -> list[int]:
-    """Number of the kind of each material: those with equal mean stiffness and permittivity are of one kind.
+def _may_meet(rule: PairingRule, components: list[int]) -> bool:
+    """Whether any two of these components may meet, or one itself."""
+    every = np.array(components, np.int64)
+    return any(bool(rule.allows(component, every).any()) for component in every)
 
-    A rotation changes both by rounding alone.
-    """
-    means = np.array([(m.mean_stiffness, m.mean_permittivity) for m in materials])
-    return [int(np.isclose(means, mean, rtol=1e-9, atol=0.0).all(axis=1).argmax()) for mean in means]
+
+def _laws(model: Model, *, electric: bool) -> PairLaws:
+    """The laws of any two bodies of the model; electric: whether two that have a permittivity may meet."""
+    voltage = model.prescription.largest_voltage()
+    return PairLaws.of(model.scene.contact, model.materials, gap_medium(model), voltage, electric=electric)
 
 
 def _pairs_of_bodies(model: Model, planes: tuple[str, ...]) -> Pairs:
@@ -311,15 +306,17 @@ def _pass(
     master_component: Integers,
     rule: PairingRule,
     first: bool,
+    laws: PairLaws,
     thickness: Array | None = None,
 ) -> SurfacePair:
     """One pass, with slave facets distributed over the ranks; components (f,) of its facets here. Collective."""
     keys, comm = model.scene.contact, model.comm
-    slave_bodies, master_bodies = _bodies_of(model, slave), _bodies_of(model, master)
+    master_bodies, bodies = _bodies_of(model, master), model.bodies.cell_body
     depth = _depth(model, slave, master)
     numbers = global_numbers(model.unknowns.space, master.nodes)
-    masters = GhostFacets(numbers, master.orientation, master.key, master_component, master.rounding)
-    slaves = SlaveFacets.of(model.unknowns.space, slave, slave_component, model.bodies.cell_body[slave.cells])
+    of_masters = np.asarray(bodies[master.cells], np.int64)
+    masters = GhostFacets(numbers, master.orientation, master.key, master_component, of_masters, master.rounding)
+    slaves = SlaveFacets.of(model.unknowns.space, slave, slave_component, bodies[slave.cells])
     radius = model.prescription.largest_motion() + NEAR * depth
     rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
@@ -328,28 +325,15 @@ def _pass(
     points = _points(keys, slaves, shared)
     sizes = facet_sizes(slaves)
     size = sizes[points.facet]
-    materials = [model.materials[i] for i in slave_bodies | master_bodies]
-    softest = min(m.mean_stiffness for m in materials)
-    least_permittivity = min(m.mean_permittivity for m in materials)
-    stiffness, permittivity = (np.full(len(size), least) for least in (softest, least_permittivity))
-    penalty = normal_penalty(keys, size, stiffness)
-    law = law_of_gap(comm, keys, penalty)
     self_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
+    given = size, laws.kind[slaves.body][points.facet], np.full(len(size), laws.softest(master_bodies))
+    check_adhesion(comm, keys, float(laws.penalty(*given).min(initial=np.inf)))
+    law = laws.at(*given)
     exchange = None
-    # Where one of the bodies has no permittivity, no charge passes.
-    if all(m.electric for m in materials):
-        medium = gap_medium(model)
-        if medium is None:
-            voltage = model.prescription.largest_voltage()
-            law = with_equal_potential(law, keys, voltage, size, stiffness, permittivity)
-        else:
-            rest_gap = law.equilibrium_gap
-            _, near, _ = medium.laws(size, stiffness, permittivity, rest_gap)
-            law += near
-            of_facets = (np.full(len(sizes), least) for least in (softest, least_permittivity))
-            _, _, rest = medium.laws(sizes, *of_facets, rest_gap)
-            exchange = GapExchange(slaves, rest, sizes, 1.0 / keys.passes)
-    return SurfacePair(
+    if laws.electric and laws.medium is not None:
+        exchange = GapExchange(slaves, laws, sizes, 1.0 / keys.passes, law.equilibrium_gap)
+    pair_class = SegmentedPair if keys.method == "segment" else SurfacePair
+    return pair_class(
         pair=number,
         slave=slaves,
         master=masters,
@@ -357,12 +341,12 @@ def _pass(
         rule=rule,
         points=points,
         law=law,
+        laws=laws,
         facet_size=size,
         share=1.0 / keys.passes,
         first=first,
         depth=depth,
         self_depth=self_depth,
-        segments=keys.method == "segment",
         blended=_is_blended(model, keys.method, exchange),
         exchange=exchange,
     )

@@ -161,7 +161,7 @@ def _meeting(model: Model, contact: Interfaces, electrode: Integers) -> Iterator
     for p in contact.point_sets:
         if p.response is None or p.jump is None:
             continue
-        met = p.gap <= p.law.equilibrium_gap
+        met = (p.gap <= p.law.equilibrium_gap) & (p.response.hessian[:, 1, 1] != 0.0)
         if not any(isinstance(law, Medium) for law in p.law.summands()):  # which makes a capacitor of an open gap
             met |= p.response.charge != 0.0
         live = np.flatnonzero(met)

@@ -28,7 +28,7 @@ def start_overlap(model: Model, contact: Interfaces) -> float:
     part, rule = bodies.cell_part[outside.cells].astype(np.int64), PairingRule(len(bodies.part_bodies))
     component, margin = rule.component(part, part), float(model.parts.thickness.min())
     numbers = global_numbers(space, outside.nodes)
-    masters = GhostFacets(numbers, outside.orientation, outside.key, component, outside.rounding)
+    masters = GhostFacets(numbers, outside.orientation, outside.key, component, part, outside.rounding)
     position = model.unknowns.coordinates[outside.nodes]
     masters = share_facets(model.comm, position, component, masters, position, margin, rule)
     coordinates = model.coordinate_vector()

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, ClosestPoints, SearchLimits
-from piezomat.contact.contact_points import ContactPoints
+from piezomat.contact.contact_points import ContactPoints, Snapshot
 from piezomat.contact.detected_facets import DetectedFacets
 from piezomat.contact.gap_exchange import GapExchange
 from piezomat.contact.nodal_state import NodalState
+from piezomat.contact.pair_laws import PairLaws
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.shared_points import SharedPoints, force_on_master
@@ -18,8 +19,6 @@ from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.state import Points, ReadPoints
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.blending import blended_changes
-from piezomat.forms.contact.facets import Facets
-from piezomat.forms.contact.gap import project
 from piezomat.forms.contact.integrals import (
     FacetPairs,
     PointForces,
@@ -28,13 +27,9 @@ from piezomat.forms.contact.integrals import (
     first_changes,
     nodes_of,
 )
-from piezomat.forms.contact.segments import nearest_points, segment_points
-from piezomat.meshes.contact.facet_bounds import facing_pairs
+from piezomat.forms.contact.laws.law import ContactLaw
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
 
-# Segments are cut anew once a point has slid by this share of a facet since: a kink that is missed by so much costs
-# the square of it.
-CUT_DRIFT = 1e-3
 CLOSE = 0.25  # facets: a node may be inside the other body if a point of its facet has a gap below this
 
 
@@ -51,18 +46,16 @@ class PenetratingNodes:
 class SurfacePair(ContactPoints):
     """Points of slave facets against the master facets that they may meet.
 
-    One pass of a pair of surfaces that the scene names, or of all bodies of one kind against all of another. With
-    `segments` the points are those of the segments of the slave facets, cut at every detection. Law and size are
-    then a facet's, and a new point takes the history of the nearest one that its facet had at the last converged step.
+    One pass of a pair of surfaces that the scene names, or of all bodies against all.
 
     Given, besides what `ContactPoints` has:
     master: master facets whose cells this rank holds
     master_bodies: bodies that the master facets of all ranks belong to
+    laws: by the two bodies that meet; `law` is that with the body that a point meets, or has met last
     rule: which connected components may meet
     first: whether the slave is the first surface of its pair
     depth: penetration (um) beyond which a point has come from the far side of a body and meets nothing
     self_depth: the same in its own part, which is thinner than it seems if it is bent
-    segments: whether slave facets are cut into segments
     blended: whether master facets share points near their edges, see `SharedPoints`
     exchange: charges across open gaps, which the points leave out; None without a medium
 
@@ -79,11 +72,11 @@ class SurfacePair(ContactPoints):
 
     master: GhostFacets
     master_bodies: frozenset[int]
+    laws: PairLaws
     rule: PairingRule
     first: bool
     depth: float
     self_depth: float
-    segments: bool = False
     blended: bool = False
     exchange: GapExchange | None = None
     covered: Booleans = field(init=False)
@@ -95,9 +88,16 @@ class SurfacePair(ContactPoints):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        first = np.searchsorted(self.points.facet, np.arange(len(self.slave)))
-        self._of_facets = (self.law[first], self.facet_size[first]) if self.segments else None
         self.covered = np.ones(len(self.points.weight), bool)
+        self._start_history()
+        self._keep()
+
+    @property
+    def possible_laws(self) -> list[ContactLaw]:
+        """The law of all points with each kind of body that they may meet."""
+        kinds = np.unique(self.laws.kind[sorted(self.master_bodies)])
+        size, own = self.facet_size, self._own_kind()
+        return [self.laws.at(size, own, np.full(len(size), kind)) for kind in kinds]
 
     @property
     def side(self) -> int:
@@ -118,13 +118,12 @@ class SurfacePair(ContactPoints):
     ) -> None:
         """Start with the master facets that come near, at these positions (n, d) of the seen nodes.
 
-        geodesic (n,): distances of the nodes along their part, with self-contact. radius: search radius, um. Segments
-        are cut along the master facets that come nearer than cut_distance, um. penetration: that is accepted, um.
+        geodesic (n,): distances of the nodes along their part, with self-contact. radius: search radius, um.
+        cut_distance: see `SegmentedPair`, um. penetration: that is accepted, um.
         """
         self.facets = DetectedFacets.of(self.slave, masters, self.rule, nodes, geodesic)
         self.slave_nodes = self.facets.slave_nodes
-        if self.segments:
-            self._cut_segments(position, cut_distance)
+        self._cut(position, cut_distance)
         depth = self.depth, self.self_depth
         given = self.facets, self.points, self.covered, depth, position, radius
         self.closest = ClosestPoints(*given, blended=self.blended)
@@ -141,6 +140,18 @@ class SurfacePair(ContactPoints):
         """Find the closest points with the seen nodes at `position` (n, d). LinAlgError: facets have collapsed."""
         projected, self.position, self.projection, self.shared = self.closest.update(position, limits)
         self.projected_points, self.master_facet = self.near_points[projected], self.closest.facet[projected]
+        meets = self.met.copy()
+        meets[self.projected_points] = self.laws.kind[self.facets.master.body[self.master_facet]]
+        if not np.array_equal(meets, self._meets):
+            self._take_law(meets)
+
+    def _take_law(self, meets: Integers) -> None:
+        """Take the law of points that meet bodies of these kinds (m,)."""
+        self._meets, self.law = meets, self.laws.at(self.facet_size, self._own_kind(), meets)
+
+    def _own_kind(self) -> Integers:
+        """Kind (m,) of the body of each point."""
+        return self.laws.kind[self.slave.body[self.points.facet]]
 
     def penetrating_nodes(self, pairs: Pairs, position: Array, depth: float) -> PenetratingNodes:
         """Nodes of the facets with points in contact or nearly so that lie inside the other body.
@@ -160,62 +171,52 @@ class SurfacePair(ContactPoints):
         pair, _ = self._pairs_of_facets(pairs, facet, closest.facet[found])
         return PenetratingNodes(pair, -projection.gap, size[facet])
 
-    # --- Segments ---
+    def _cut(self, position: Array, distance: float) -> None:
+        """Points stay where they are."""
 
-    def _cut_segments(self, position: Array, distance: float) -> None:
-        """Cut the slave facets along the edges of the master facets that come nearer than `distance`."""
-        facets, kind = self.facets, self.slave.kind
-        slave = Facets(kind, facets.slave_at(position), self.slave.orientation, self.slave.key)
-        master = Facets(kind, facets.master_at(position), facets.master.orientation, facets.master.key)
-        pairs = facing_pairs(slave, master, distance)
-        allowed = facets.may_meet(*pairs)
-        pairs = pairs[0][allowed], pairs[1][allowed]
-        points, covered = segment_points(self.slave.reference, slave, master, pairs)
-        bonds = self.viscous_bonds[nearest_points(points.facet, points.xi, self.points)]
-        converged = self._converged
-        self._set_points(points)
-        self.covered, self.viscous_bonds = covered, bonds
-        self._uncut = ~np.isin(points.facet, pairs[0])
-        self.history = converged.history[nearest_points(points.facet, points.xi, converged.points)]
+    # --- History ---
+
+    def _start_history(self) -> None:
+        """No point has met anything: the law is that with the softest body that it may meet."""
+        count = len(self.points.weight)
+        self._take_law(np.full(count, self.laws.softest(self.master_bodies)))
+        self.history, self.met = self.law.virgin(count), self._meets
 
     def _set_points(self, points: SlavePoints) -> None:
         super()._set_points(points)
         self.covered = np.ones(len(points.weight), bool)
-        if self.segments:
-            law, size = self._of_facets
-            self.law, self.facet_size = law[points.facet], size[points.facet]
 
-    def has_stale_segments(self, before: Array, interaction_range: float) -> bool:
-        """Whether points in contact have slid since the cut, with the nodes at `before`, or are on uncut facets."""
-        if not self.segments:
-            return False
-        acts = (self.projection.gap < interaction_range) | (self.response.traction != 0.0)
-        rows, master, xi = self.projected_points[acts], self.master_facet[acts], self.projection.xi[acts]
-        facets, facet = self.facets, self.points.facet[rows]
-        points = np.einsum("mk,mkd->md", self.points.shape[rows], facets.slave_at(before, facet))
-        nodes, orientation = facets.master_at(before, master), facets.master.orientation[master]
-        slide = np.abs(project(facets.kind, points, nodes, orientation, xi).xi - xi).max(initial=0.0)
-        return bool(slide > CUT_DRIFT or self._uncut[rows].any())
+    def commit(self) -> None:
+        """See `ContactPoints.commit`."""
+        self.met = self._meets
+        super().commit()
 
-    # --- Checkpoints ---
+    def restore(self, snapshot: Snapshot) -> None:
+        """See `ContactPoints.restore`."""
+        super().restore(snapshot)
+        self._take_law(self.met)
 
     def saved(self, *, augmented: bool) -> Points:
-        """See `ContactPoints.saved`; of segments also where points lie, which follows from states before this one."""
-        places = {"place": (self.keys(), self.points.xi)} if self.segments else {}
-        return super().saved(augmented=augmented) | places
+        """See `ContactPoints.saved`; with a history and bodies of several kinds also which of them points met last."""
+        points = super().saved(augmented=augmented)
+        if self._has_met:
+            known = self.history.any(axis=1)
+            points["met"] = self.keys()[known], self.met[known][:, None].astype(float)
+        return points
 
-    def resume_points(self, read: ReadPoints, points_per_facet: int) -> None:
-        """Take up the points of segments that a checkpoint holds, their weights left to the next cut. Collective.
+    def resume(self, read: ReadPoints, *, augmented: bool) -> None:
+        """See `ContactPoints.resume`."""
+        super().resume(read, augmented=augmented)
+        if self._has_met:
+            met, found = read("met", self.keys(), 1)
+            self.met = np.where(found, met[:, 0], self.met).astype(int)
+        self._take_law(self.met)
+        self._keep()
 
-        points_per_facet: largest number of points of a facet.
-        """
-        if not self.segments:
-            return
-        facet, place = np.divmod(np.arange(len(self.slave) * points_per_facet), points_per_facet)
-        xi, found = read("place", self._keys(facet, place), self.points.xi.shape[1])
-        facet, place, xi, none = facet[found], place[found], xi[found], np.zeros(found.sum())
-        self._set_points(SlavePoints(facet, place, xi, self.slave.kind.shape(xi), none, none))
-        self.history = self.law.virgin(len(facet))
+    @property
+    def _has_met(self) -> bool:
+        """Whether the history depends on what points have met."""
+        return self.law.history_size > 0 and self.laws.several
 
     # --- Evaluation ---
 
@@ -240,14 +241,15 @@ class SurfacePair(ContactPoints):
         return ContactTerms.joined(terms)
 
     def _jumps(self, at: NodalState) -> Array:
-        """Potential jumps (r,), V."""
+        """Potential jumps (r,), V; zero between bodies that exchange no charge."""
         kind, facet = self.slave.kind, self.points.facet[self.projected_points]
         here, there = self.facets.potentials_at(at.potentials, facet, self.master_facet)
         there = np.einsum("mk,mk->m", kind.shape(self.projection.xi), there)
         s = self.shared
         if len(s.row):
             there[s.row] = s.mean_potentials(self.facets, at.potentials, facet)
-        return at.scale * (np.einsum("mk,mk->m", self.points.shape[self.projected_points], here) - there)
+        jump = at.scale * (np.einsum("mk,mk->m", self.points.shape[self.projected_points], here) - there)
+        return jump * self.laws.passes(self._own_kind(), self._meets)[self.projected_points]
 
     def _terms_of_one_facet(
         self, at: NodalState, some: Integers, forces: PointForces, *, tangent: bool

@@ -61,13 +61,15 @@ SLAVE, MASTER = 0, 3
 class GhostFacets:
     """Master facets of all ranks that this rank needs.
 
-    nodes (f, n): global node numbers; component (f,); orientation (f,), key (f,), rounding (f, k, d) as of `Surface`.
+    nodes (f, n): global node numbers; component (f,); body (f,); orientation (f,), key (f,), rounding (f, k, d) as of
+    `Surface`.
     """
 
     nodes: Integers
     orientation: Array
     key: Integers
     component: Integers
+    body: Integers
     rounding: Array
 
     def __len__(self) -> int:

@@ -60,7 +60,7 @@ def search(count: int, comm: MPI.Comm) -> tuple[float, int, int]:
     raw = point_normals(kind, middle, nodes, np.ones(len(nodes)))
     sign = np.sign(np.einsum("md,md->m", raw, nodes.mean(axis=1) - inside))
     key = first * each + np.arange(len(nodes))
-    own = GhostFacets(4 * key[:, None] + np.arange(4), sign, key, component, nodes[:, :0])
+    own = GhostFacets(4 * key[:, None] + np.arange(4), sign, key, component, component, nodes[:, :0])
     began = process_time()
     visible = share_facets(comm, nodes, component, own, nodes, MARGIN, rule)
     low, high = int(visible.key.min()) // each, int(visible.key.max()) // each + 1

@@ -29,7 +29,10 @@ from matplotlib import pyplot
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from mpi4py import MPI
 
+from piezomat.contact import pair_laws
+from piezomat.contact.interface_laws import with_equal_potential
 from piezomat.forms.contact.laws.equal_potential import EqualPotential
+from piezomat.forms.contact.laws.law import ContactLaw
 from scripts.studies import tables
 from scripts.studies.stability_map import Map
 from scripts.studies.stability_maps import MAPS
@@ -51,18 +54,13 @@ REASONS = {
 OTHER = "O: other, see the table"
 
 
-def minus_as_plus(interfaces_of: Any) -> Any:
-    """`interfaces_of` with the sign of the electric term as printed in the paper: negative electric penalties."""
-
-    def flipped(model: Any) -> Any:
-        contact = interfaces_of(model)
-        for p in contact.surface_pairs:
-            for law in p.law.summands():
-                if isinstance(law, EqualPotential):
-                    law.penalty[:] *= -1.0
-        return contact
-
-    return flipped
+def minus_as_plus(*given: Any) -> ContactLaw:
+    """The law with equal potentials with the sign as printed in the paper: a negative electric penalty."""
+    law = with_equal_potential(*given)
+    for part in law.summands():
+        if isinstance(part, EqualPotential):
+            part.penalty[:] *= -1.0
+    return law
 
 
 def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
@@ -76,8 +74,8 @@ def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {"method": method.name, "x": x, "y": y}
     start = time.perf_counter()
     try:
-        sign = minus_as_plus(simulation.interfaces_of) if method.plus else simulation.interfaces_of
-        with patch.object(simulation, "interfaces_of", sign):
+        sign = minus_as_plus if method.plus else with_equal_potential
+        with patch.object(pair_laws, "with_equal_potential", sign):
             finished = simulation.run(study.scene(method, x, y), MPI.COMM_SELF)
         error = study.error(finished, x, y)
         row["outcome"] = "right" if error <= study.tolerance else "wrong"

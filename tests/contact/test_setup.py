@@ -91,10 +91,45 @@ def test_fibers_of_any_poling_are_one_surface_pair(material: str, rng: np.random
     bodies = create(MPI.COMM_SELF, scene.geometry, scene.sizes)
     assert len(interfaces_of(Model(scene, bodies)).surface_pairs) == 1
     other = fibers(rng, material, fiber_5="elastic")
-    pairs = interfaces_of(Model(other, bodies)).surface_pairs
-    # Nothing of the kind of the elastic fiber may meet another of it.
-    assert len(pairs) == 3
-    assert sum(p.law.has_charges for p in pairs) == 1
+    assert len(interfaces_of(Model(other, bodies)).surface_pairs) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("method", ["point", "segment"])
+def test_fibers_of_any_moduli_are_one_surface_pair(comm: MPI.Comm, method: str) -> None:
+    """A point takes the smaller stiffness and permittivity of its two bodies; without one of these no charge passes."""
+    moduli = {f"m{i}": {"young": 1000.0 * (i + 1), "poisson": 0.3, "permittivity": 1e-4 * (9 - i)} for i in range(9)}
+    scene = Scene(
+        geometry={"shape": "fiber_array", "columns": 3, "rows": 3},
+        mesh={"size": 0.3},
+        materials=moduli,
+        bodies={f"fiber_{i + 1}": "elastic" if i == 4 else f"m{i}" for i in range(9)},
+        contact={"medium": "none", "method": method},
+        planes=[{"name": "floor", "point": "bottom", "potential": 0}],
+    )
+    model = Model(scene, create(comm, scene.geometry, scene.sizes))
+    contact = interfaces_of(model)
+    (p,) = contact.surface_pairs
+    state = model.new_vector()
+    part = model.parts.node_part[: model.unknowns.owned]
+    values = np.zeros((model.unknowns.owned, model.unknowns.block))
+    values[:, :2], values[:, 2] = -0.02 * (model.parts.centre[part] - 1.5), part + 1.0
+    model.unknowns.set_by_node(state, values)
+    contact.detect(state, 0.3)
+    contact.evaluate(state, tangent=True)
+    rows = p.projected_points
+    ours, theirs = p.slave.body[p.points.facet[rows]], p.rule.body(p.master_component())
+    stiffness = np.array([m.mean_stiffness for m in model.materials])
+    permittivity = np.array([m.mean_permittivity if m.electric else 0.0 for m in model.materials])
+    least = [np.minimum(of[ours], of[theirs]) for of in (stiffness, permittivity)]
+    np.testing.assert_allclose(p.law.penalties[0][rows], 10.0 * least[0] / p.facet_size[rows])
+    np.testing.assert_allclose(p.law.penalties[1][rows], 10.0 * least[1] / p.facet_size[rows])
+    passes = least[1] > 0.0
+    assert (p.jump[~passes] == 0.0).all() and (p.response.charge[~passes] == 0.0).all()
+    assert (np.abs(p.jump[passes]) > 0.5).all()
+    counts = [int((p.gap < 0.0).sum()), int((~passes).sum()), len(np.unique(np.stack([ours, theirs]), axis=1).T)]
+    pressed, insulated, meetings = (comm.allreduce(count) for count in counts)
+    assert pressed > 20 and insulated > 40 and meetings >= 24
 
 
 @pytest.mark.mpi

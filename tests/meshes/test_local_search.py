@@ -315,7 +315,7 @@ def test_every_rank_sees_the_facets_near_its_own(
     mine, theirs = slaves[slave_rank == comm.rank], master_rank == comm.rank
     numbers = np.arange(len(master.facets))[:, None] * 100 + np.arange(len(kind.nodes))
     component, flat = np.full(theirs.sum(), MASTER), master.facets[theirs, :0]
-    own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], component, flat)
+    own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], component, component, flat)
     for margin in (0.05, 0.3):
         visible = share_facets(comm, mine, np.full(len(mine), SLAVE), own, master.facets[theirs], margin, ONE_TO_ONE)
         seen = visible.nodes[:, 0] // 100
@@ -349,7 +349,7 @@ def test_pairing_does_not_depend_on_the_ranks(name: str, comm: MPI.Comm, rng: np
     theirs = rng.integers(0, comm.size, len(master.facets)) == comm.rank
     numbers = np.arange(len(master.facets))[:, None] + np.zeros(len(kind.nodes), int)
     component, flat = np.full(theirs.sum(), MASTER), master.facets[theirs, :0]
-    own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], component, flat)
+    own = GhostFacets(numbers[theirs], master.orientation[theirs], master.key[theirs], component, component, flat)
     visible = share_facets(comm, facets[mine], np.full(len(mine), SLAVE), own, master.facets[theirs], 0.05, ONE_TO_ONE)
     positions = master.facets[visible.nodes[:, 0]]
     found, *_ = closest_facets(
