@@ -67,7 +67,7 @@ class Problem:
             self._stiffness = terms.new_matrix()  # of the assembled terms
             self._assemble_stiffness()
         self.is_constant = all(term.is_constant for term in terms.assembled)
-        self.is_symmetric = all(term.is_symmetric for term in terms.assembled)
+        self.is_symmetric = all(term.is_symmetric for term in terms)
         self._matrix: TangentMatrix | None = None
         self._work = model.new_vector()  # a new one in each iteration would stay until garbage is collected
         self.stiffness_version = 0

@@ -22,10 +22,12 @@ class Term:
     """A summand of a problem, by default without loads, energies and history. Every method is collective.
 
     phase: of the run, to which its time is counted
+    is_symmetric: whether the tangent is symmetric: that of an energy is
     largest_penalty: MPa/um; the rounding of positions times it is a force out of balance
     """
 
     phase: str = "assembly"
+    is_symmetric: bool = True
     largest_penalty: float = 0.0
 
     def set_loads(self, factors: dict[str, float]) -> None:
@@ -62,11 +64,9 @@ class AssembledTerm(Term, ABC):
     """A term with a matrix whose entries have places among those of the bulk: unknowns of nodes that share a cell.
 
     is_constant: whether the tangent is the same at any state
-    is_symmetric: whether the tangent is symmetric: that of an energy is
     """
 
     is_constant: bool = True
-    is_symmetric: bool = True
 
     @abstractmethod
     def add_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
