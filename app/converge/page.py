@@ -84,14 +84,18 @@ def assumptions(study: Study) -> list[str]:
     found = [
         f"values are compared at step {study.step} of {total}, where the force on what moves is largest on the "
         "coarsest mesh; later steps are not looked at",
-        "all sizes of the mesh change together, and load steps, contact method and solver stay those of the scene",
-        "times are those of this machine, scaled to the whole load by the share of the steps",
+        "all sizes of the mesh change together, and contact method and solver stay those of the scene",
+        "times are those of this machine, scaled to the whole load by the Newton iterations of the coarsest mesh",
     ]
+    if study.taken < study.step:
+        found.append("each stage up to there is one load step, which gives the same on the coarsest mesh")
     contact = study.scene.contact
-    if contact is not None and contact.normal_penalty is None:
+    grows = contact is not None and contact.normal_penalty is None
+    if grows:
         found.append("penalties grow with finer facets, so that their error is part of the series")
     for name, change in study.penalty_change.items():
-        found.append(f"ten times the normal penalty changes {name} by {100 * change:.2g} %, which no mesh removes")
+        much = f"ten times the normal penalty changes {name} by {100 * change:.2g} %"
+        found.append(f"on the coarsest mesh {much}" if grows else f"{much}, which no mesh removes")
     return found + [f"not used: {text}" for text in study.failures]
 
 

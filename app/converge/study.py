@@ -23,19 +23,21 @@ from piezomat.solver.load_steps import steps
 COARSEST = 2.0  # times the sizes of the scene
 RATIO = 2.0**0.5  # of the sizes of one mesh and the next
 FINER = 1.25  # least ratio of cells to the mesh before: built meshes come in steps
-GROWTH = 1.6  # power of the unknowns that the time is assumed to grow with
+GROWTH = 1.25  # power of the unknowns that the time is assumed to grow with
 MOST = 8  # meshes of one order
+PATH = 0.05  # share of the tolerance by which the columns may differ where a stage is one step
 
 
 @dataclass(frozen=True)
 class Level:
-    """One run: what it overrides, sizes, time (s) for the scene's whole load, values by column."""
+    """One run: what it overrides, sizes, time (s) for the scene's whole load and of the run, values by column."""
 
     order: int
     overrides: dict[str, Any]
     cells: int
     unknowns: int
     seconds: float
+    spent: float
     values: dict[str, float]
 
     def size(self, dimension: int) -> float:
@@ -45,11 +47,15 @@ class Level:
 
 @dataclass(frozen=True)
 class Study:
-    """What a study has found. step: of the scene's load, at which the columns are compared."""
+    """What a study has found.
+
+    step: of the scene's load, at which the columns are compared. taken: steps in which that load was applied.
+    """
 
     scene: Scene
     within: float
     step: int
+    taken: int
     columns: list[str]
     levels: list[Level]
     failures: list[str] = field(default_factory=list)
@@ -112,73 +118,115 @@ def study(
     """Run a scene on finer and finer meshes until a column's limit is known within the tolerance. Collective.
 
     The load is that of the scene up to the step at which the force on what moves is largest (the last step where
-    nothing moves), on the coarsest mesh. columns: of the history; by default that force, the voltage or charge, and the
-    elastic energy. budget: seconds after which no run is begun that would exceed it.
+    nothing moves), on the coarsest mesh; each stage in one step where that gives the same there. columns: of the
+    history; by default that force, the voltage or charge, and the capacitance, or the elastic energy where there are
+    less than two of these. budget: seconds after which no run is begun that would exceed it.
 
     SceneError: the sizes of the mesh are not the scene's to change; a column that the history does not have.
     """
     _check_sizes(scene)
     began = perf_counter()
+    orders = (1,) if scene.contact is not None and scene.contact.smoothing else (1, 2)
+    # Cells of order 2 have twice as many nodes along each edge.
+    series = {order: _Series.of(scene, order) for order in orders}
     with Progress(comm, f"convergence: {scene.title}", MOST, 0, quiet=quiet) as progress:
-        coarse = Scene.load(scene, _sizes(scene, COARSEST, 1))
-        run = simulation.run(coarse, comm, quiet=True)
-        step = _step(coarse, run.history)
-        names = _columns(coarse, run.history, columns)
-        whole = run.summary["timings"]["total"]
-        share = step / len(run.history)
-        progress.done(f"coarsest mesh: {run.summary['dofs']:,} unknowns, {whole:.1f} s; compared at step {step}")
-        load = _load_until(scene, step)
-        found = Study(scene, within, step, names, [])
-        first = _level(1, _sizes(scene, COARSEST, 1), run.summary, run.history[step - 1], names, whole)
+        sizes = series[1].next()
+        run = simulation.run(Scene.load(scene, sizes), comm, quiet=True)
+        step = _step(Scene.load(scene, sizes), run.history)
+        names = _columns(Scene.load(scene, sizes), run.history, columns)
+        load, effort = _path(scene, sizes, run, step, names, within)
+        found = Study(scene, within, step, sum(load["steps"]), names, [])
+        first = _level(1, sizes, run.summary, run.history[step - 1], names, effort, whole=True)
         found.levels.append(first)
-        orders = (1,) if scene.contact is not None and scene.contact.smoothing else (1, 2)
-        # Cells of order 2 have twice as many nodes along each edge.
-        scales = {order: order * COARSEST for order in orders}
-        scales[1] /= RATIO
-        while scales and not (found.is_settled() and len(found.series(1)) > 2):
-            costs = {order: share * _expected(found, order, scales[order]) for order in scales}
+        progress.done(f"coarsest mesh: {first.unknowns:,} unknowns, {first.seconds:.1f} s; compared at step {step}")
+        while series and not (found.is_settled() and len(found.series(1)) > 2):
+            costs = {order: _expected(found, order, series[order]) for order in series}
             order = min(costs, key=costs.__getitem__)
             left = comm.bcast(budget - (perf_counter() - began))
             if comm.bcast(costs[order]) > left or len(found.series(order)) >= MOST:
-                del scales[order]
+                del series[order]
                 continue
-            sizes = _sizes(scene, scales[order], order)
+            sizes = series[order].next()
             try:
                 finer = simulation.run(Scene.load(scene, {**sizes, "load": load}), comm, quiet=True)
             except (simulation.NotConverged, SceneError) as error:
                 found.failures.append(f"{_said(sizes)}: {error}")
                 progress.done(f"{_said(sizes)}: {error}")
-                del scales[order]
+                del series[order]
                 continue
-            scales[order] /= RATIO
-            summary = finer.summary
-            seconds = summary["timings"]["total"] / share
-            level = _level(order, sizes, summary, finer.history[-1], names, seconds)
+            level = _level(order, sizes, finer.summary, finer.history[-1], names, effort)
             same = found.series(order)
             if same and level.cells < FINER * same[-1].cells:
                 continue
             found.levels.append(level)
-            progress.done(f"{_said(sizes)}  {level.unknowns:,} unknowns  {summary['timings']['total']:.1f} s")
-        _ask_penalty(found, comm, load, share, progress)
+            progress.done(f"{_said(sizes)}  {level.unknowns:,} unknowns  {level.spent:.1f} s")
+        _ask_penalty(found, comm, load, progress)
     return found
 
 
-def _expected(found: Study, order: int, scale: float) -> float:
-    """Time for the whole load that a mesh is expected to take, from that of the finest one so far of its order."""
-    runs = found.series(order) or found.series(1)[:1]
-    last = runs[-1]
-    size = found.scene.mesh.contact_size or found.scene.mesh.size
-    finer = (last.overrides["mesh.contact_size"] / last.order) / (scale * size / order)
-    return last.seconds * finer ** (found.scene.dimension * GROWTH)
+@dataclass
+class _Series:
+    """The meshes of an order, the coarsest first: sizes (um) of the next one."""
+
+    order: int
+    size: float
+    fine: float
+
+    @classmethod
+    def of(cls, scene: Scene, order: int) -> _Series:
+        """The series that begins at twice the sizes of the scene, for its order; cells are no larger than bodies."""
+        scale = COARSEST * order / scene.mesh.order
+        size = min(scale * scene.mesh.size, max(scene.mesh.size, scene.geometry.size()))
+        return cls(order, size, min(scale * (scene.mesh.contact_size or scene.mesh.size), size))
+
+    def next(self) -> dict[str, Any]:
+        """Overrides for the next mesh."""
+        sizes = {"mesh.size": float(f"{self.size:.4g}"), "mesh.contact_size": float(f"{self.fine:.4g}")}
+        self.size, self.fine = self.size / RATIO, self.fine / RATIO
+        return {**sizes, "mesh.order": self.order}
 
 
-def _ask_penalty(found: Study, comm: MPI.Comm, load: dict[str, Any], share: float, progress: Progress) -> None:
-    """A run with ten times the penalty of the scene, where that does not grow with the mesh."""
+def _expected(found: Study, order: int, series: _Series) -> float:
+    """Time that the next mesh is expected to take, from that of the finest one so far of its order."""
+    last = (found.series(order) or found.series(1)[:1])[-1]
+    finer = (last.overrides["mesh.contact_size"] / last.order) / (series.fine / order)
+    return last.spent * finer ** (found.scene.dimension * GROWTH)
+
+
+def _path(
+    scene: Scene, sizes: Mapping[str, Any], run: simulation.Run, step: int, names: Sequence[str], within: float
+) -> tuple[dict[str, Any], float]:
+    """The load up to a step, and the Newton iterations of the whole load over those of this one. Collective.
+
+    Each stage is one step where the columns are then the same on this mesh, as without bonds that break.
+    """
+    rows = run.history
+    load = _load_until(scene, step)
+    short = {**load, "steps": [1] * len(load["steps"])}
+    if short != load:
+        try:
+            taken = simulation.run(Scene.load(scene, {**sizes, "load": short}), run.model.comm, quiet=True).history
+        except simulation.NotConverged:
+            taken = []
+        changes = [abs(taken[-1][n] - rows[step - 1][n]) / abs(rows[step - 1][n] or 1.0) for n in names if taken]
+        if taken and max(changes, default=0.0) <= PATH * within:
+            return short, _newton(rows) / _newton(taken)
+    return load, _newton(rows) / _newton(rows[:step])
+
+
+def _newton(rows: Sequence[Mapping[str, Any]]) -> int:
+    return max(1, sum(row["newton"] for row in rows))
+
+
+def _ask_penalty(found: Study, comm: MPI.Comm, load: dict[str, Any], progress: Progress) -> None:
+    """A run with ten times the penalty of the scene, on the mesh that takes least time."""
     contact = found.scene.contact
-    if contact is None or contact.normal_penalty is None:
+    if contact is None:
         return
-    level = min(found.levels, key=lambda level: level.seconds)
-    keys = {**level.overrides, "load": load, "contact.normal_penalty": 10.0 * contact.normal_penalty}
+    key = "normal_penalty_factor" if contact.normal_penalty is None else "normal_penalty"
+    stiffer = 10.0 * getattr(contact, key)
+    level = min(found.levels, key=lambda level: level.spent)
+    keys = {**level.overrides, "load": load, f"contact.{key}": stiffer}
     try:
         row = simulation.run(Scene.load(found.scene, keys), comm, quiet=True).history[-1]
     except (simulation.NotConverged, SceneError):
@@ -186,7 +234,7 @@ def _ask_penalty(found: Study, comm: MPI.Comm, load: dict[str, Any], share: floa
     for column in found.columns:
         if level.values[column]:
             found.penalty_change[column] = abs(row[column] / level.values[column] - 1.0)
-    progress.done(f"normal_penalty = {10.0 * contact.normal_penalty:g}")
+    progress.done(f"{key} = {stiffer:g}")
 
 
 def _check_sizes(scene: Scene) -> None:
@@ -194,16 +242,6 @@ def _check_sizes(scene: Scene) -> None:
         raise SceneError("geometry.file", "a mesh that is there", "a built shape, whose mesh sizes can be changed")
     if scene.mesh.size is None or getattr(scene.geometry, "divisions", None) is not None:
         raise SceneError("mesh.size", "a mesh whose cells are counted", "a built shape with mesh.size")
-
-
-def _sizes(scene: Scene, scale: float, order: int) -> dict[str, Any]:
-    """Overrides for a mesh of these sizes, times those of the scene."""
-    size, fine = scene.mesh.size, scene.mesh.contact_size or scene.mesh.size
-    return {
-        "mesh.size": float(f"{min(scale * size, 2 * size):.4g}"),
-        "mesh.contact_size": float(f"{min(scale * fine, scale * size, 2 * size):.4g}"),
-        "mesh.order": order,
-    }
 
 
 def _load_until(scene: Scene, step: int) -> dict[str, Any]:
@@ -244,8 +282,9 @@ def _columns(scene: Scene, history: list[dict[str, Any]], wanted: Sequence[str])
         return list(wanted)
     run = _as_run(scene, history)
     driver, electric = driver_of(run), electric_curve(run)
-    names = [driver.force if driver is not None else None, electric.column if electric is not None else None, "elastic"]
-    return [name for name in names if name is not None and any(row[name] for row in history)]
+    found = [driver.force if driver is not None else "", electric.column if electric is not None else ""]
+    names = [name for name in [*found, "capacitance"] if name in known and any(row[name] for row in history)]
+    return names if len(names) > 1 else [*names, "elastic"]
 
 
 def _level(
@@ -254,10 +293,17 @@ def _level(
     summary: Mapping[str, Any],
     row: Mapping[str, Any],
     columns: Sequence[str],
-    seconds: float,
+    effort: float,
+    *,
+    whole: bool = False,
 ) -> Level:
+    """effort: see `_path`. whole: the run was that of the whole load, which is taken for one of the study's."""
     values = {name: float(row[name]) for name in columns}
-    return Level(order, dict(overrides), summary["cells"], summary["dofs"], seconds, values)
+    seconds = summary["timings"]
+    once = seconds["mesh"] + seconds["setup"]
+    steps = seconds["total"] - once
+    times = (seconds["total"], once + steps / effort) if whole else (once + steps * effort, seconds["total"])
+    return Level(order, dict(overrides), summary["cells"], summary["dofs"], *times, values)
 
 
 def _said(overrides: Mapping[str, Any]) -> str:

@@ -1,7 +1,8 @@
 """First run: two fibers in 2D, pressed together and pulled apart. Cells for Jupyter, VS Code or Spyder, or a script.
 
 Displacement u and potential phi make the enthalpy of two PVDF half discs stationary, with contact and adhesion between
-them (app/scenes/crossed_fibers.toml has the equations). The lower one lies on a grounded electrode.
+them (app/scenes/crossed_fibers.toml has the equations). Each flat face is an electrode, the lower
+one grounded, the upper one open.
 
     .venv/bin/python scripts/tutorials/first_run.py
 """
@@ -18,7 +19,7 @@ print(r)
 
 # %% The history: a row for each load step. With pandas a DataFrame, else a dict of arrays.
 table = r.frame()
-for name in ("force_y@top", "displacement_y@top", "mean_potential@top"):
+for name in ("force_y@top", "displacement_y@top", "voltage@top"):
     print(f"{name:20} {r.unit(name):6} {[float(f'{value:.3g}') for value in table[name]]}")
 
 # %% The adhesion loop: force over displacement. It is negative under pressure, and positive where adhesion pulls.

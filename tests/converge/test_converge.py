@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat import cli
+from piezomat import cli, simulation
 from piezomat.converge.estimate import best, limit
 from piezomat.converge.page import as_text, chart
-from piezomat.converge.study import Level, Study, _load_until, study
+from piezomat.converge.study import Level, Study, _load_until, _path, study
 from piezomat.scene import Scene, SceneError
 from piezomat.solver.load_steps import steps
 
@@ -45,11 +45,13 @@ def test_few_values_and_series_that_disagree() -> None:
 def made_up(errors: dict[int, list[float]], within: float) -> Study:
     """A study whose values are 10 (1 + error) on meshes that halve their cells' size; time 8 times a mesh."""
     scene = Scene.load("fibers_2d")
-    found = Study(scene, within, 3, ["elastic"], [])
+    found = Study(scene, within, 3, 3, ["elastic"], [])
     for order, series in errors.items():
         for i, error in enumerate(series):
             keys = {"mesh.size": 0.4 / 2**i, "mesh.contact_size": 0.1 / 2**i, "mesh.order": order}
-            found.levels.append(Level(order, keys, 4**i, 10 * 4**i, order * 8.0**i, {"elastic": 10.0 * (1.0 + error)}))
+            found.levels.append(
+                Level(order, keys, 4**i, 10 * 4**i, order * 8.0**i, 1.0, {"elastic": 10.0 * (1.0 + error)})
+            )
     return found
 
 
@@ -84,7 +86,7 @@ def test_the_load_up_to_a_step_is_the_same_load() -> None:
 def small(**over: Any) -> Scene:
     """Elastic half discs, pressed in two steps and released."""
     keys = {
-        "mesh.size": 0.15, "mesh.contact_size": 0.06, "bodies": {"*": "elastic"}, "contact": {},
+        "mesh.size": 0.15, "mesh.contact_size": 0.06, "bodies": {"*": "elastic"}, "contact": {}, "electrodes": [],
         "boundaries": [
             {"on": "bottom", "displacement": [0, 0]},
             {"on": "top", "displacement": [0, -0.05], "follows": "press"},
@@ -102,6 +104,20 @@ def test_a_study_of_a_scene() -> None:
     assert level is not None and found.error(level, "force_y@top") <= 0.02
     cells = [level.cells for level in found.series(1)]
     assert all(b >= 1.25 * a for a, b in pairwise(cells))
+    assert found.taken == 1  # without bonds that break the path does not matter
+    for order in (1, 2):
+        sizes = [[run.overrides[f"mesh.{key}"] for key in ("size", "contact_size")] for run in found.series(order)]
+        assert [s / c for s, c in sizes] == pytest.approx([sizes[0][0] / sizes[0][1]] * len(sizes), rel=1e-3)
+
+
+def test_the_load_keeps_its_steps_where_they_matter() -> None:
+    """One step a stage where that gives the same within a part of the tolerance, else those of the scene."""
+    adhesion = {"law": "bilinear", "strength": 40.0, "energy": 0.02}
+    scene = small(**{"contact": {"adhesion": adhesion}, "load": {"steps": [2, 4], "factors": {"press": [0.2, -0.1]}}})
+    run = simulation.run(scene, MPI.COMM_SELF)
+    for step, within, counts in ((2, 0.01, [1]), (4, 1e-12, [2, 2])):
+        load, effort = _path(scene, {}, run, step, ["force_y@top"], within)
+        assert load["steps"] == counts and effort > 1.0
 
 
 def test_a_budget_ends_a_study_and_columns_can_be_chosen() -> None:
