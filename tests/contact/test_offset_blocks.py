@@ -70,7 +70,6 @@ def forces(scene: Scene, comm: MPI.Comm, places: list[tuple[float, float]]) -> l
 CASES = [
     pytest.param(2, (2, 3), 1, "tensor", marks=pytest.mark.mpi),
     pytest.param(3, (2, 3), 1, "tensor", marks=pytest.mark.mpi),
-    (2, (12, 5), 1, "tensor"),
     (2, (1, 4), 2, "tensor"),
     (2, (1, 20), 1, "tensor"),
     (2, (20, 1), 1, "tensor"),
@@ -84,7 +83,7 @@ def test_nothing_but_the_faces_press(
     dim: int, divisions: tuple[int, int], order: int, cells: str, comm: MPI.Comm
 ) -> None:
     """Nothing at a gap; where they overlap, the force on what is covered, as exactly as with the two faces alone."""
-    apart = [(offset, gap) for offset in OFFSETS for gap in (0.09, 0.02, 1e-3)]
+    apart = [(offset, gap) for offset in OFFSETS[::2] for gap in (0.02, 1e-3)]
     pressed = [(offset, -OVERLAP) for offset in OFFSETS]
     covered = np.maximum(1.0 - np.array(OFFSETS), 0.0)
     for method in METHODS:
@@ -107,7 +106,7 @@ def test_nothing_but_the_faces_press(
 
 @pytest.mark.parametrize(
     ("kinematics", "order"),
-    [pytest.param("small", 1, marks=pytest.mark.mpi), ("finite", 1), ("small", 2), ("finite", 2)],
+    [pytest.param("small", 1, marks=pytest.mark.mpi), ("finite", 2)],
 )
 def test_blocks_that_are_apart_do_not_push(kinematics: str, order: int, comm: MPI.Comm) -> None:
     """One slides above the other, 0.02 apart, by half its width in one step and then in small ones."""

@@ -178,12 +178,17 @@ def soft_blocks(steps: int) -> Scene:
     return attracting_blocks(1.0 / COMPLIANCE, 2, start, load, tolerance=1e-11)
 
 
-def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
+@pytest.fixture(scope="module")
+def snapping() -> list[dict[str, Any]]:
+    """The history of soft blocks in a hundred steps each way."""
+    return run(soft_blocks(100), MPI.COMM_SELF).history
+
+
+def test_soft_blocks_snap_in_and_off_to_the_right_branch(snapping: list[dict[str, Any]]) -> None:
     """Blocks softer than the law's fall: they follow the far branch in, the near one out, and jump where each ends."""
-    r0, steps = LAW.distance, 40
-    start = 2.2 * CUTOFF_START * r0
-    history = run(soft_blocks(steps), MPI.COMM_SELF).history
-    gap = np.linspace(0.4 * r0, 12.0 * r0, 400_001)
+    r0, history = LAW.distance, snapping
+    steps, start = len(history) // 2, 2.2 * CUTOFF_START * r0
+    gap = np.linspace(0.4 * r0, 12.0 * r0, 100_001)
     distance = gap + COMPLIANCE * traction(gap)  # between the blocks' far ends, less their height
     expected = []
     for row in history:
@@ -198,13 +203,13 @@ def test_soft_blocks_snap_in_and_off_to_the_right_branch() -> None:
     assert -np.diff(force[steps:]).min() > 0.5 * STRENGTH
 
 
-def test_what_a_snap_sets_free_is_found_whether_or_not_a_drag_leads_through_it() -> None:
+def test_what_a_snap_sets_free_is_found_whether_or_not_a_drag_leads_through_it(snapping: list[dict[str, Any]]) -> None:
     """Snap-in and snap-off release the energy of the closed form within 2 %, and the energy balance is closed.
 
     The drag leads through the snap-in, and Newton's method finds the other side of the snap-off by itself, with a step
     cut once: what is set free without a drag must not be lost.
     """
-    history = run(soft_blocks(100), MPI.COMM_SELF).history
+    history = snapping
     gap = np.linspace(0.6 * LAW.distance, 11.0 * LAW.distance, 100_001)
     r = respond(gap)
     distance = gap + COMPLIANCE * r.traction

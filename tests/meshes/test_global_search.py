@@ -174,7 +174,7 @@ def test_contact_of_mats_is_that_of_an_exhaustive_search(
 
     monkeypatch.setattr(closest_points.ClosestPoints, "_share", unshared)
     contacts, most = 0, 0.01
-    for seed in range(50):
+    for seed in range(12):
         shape = {
             "shape": "mat",
             "count": 3,
@@ -207,7 +207,7 @@ def test_contact_of_mats_is_that_of_an_exhaustive_search(
             ours, exhaustive = (each[meets == body].sum(axis=0) for each in pressure)
             np.testing.assert_allclose(ours, exhaustive, rtol=0.0, atol=1e-10 * max(np.abs(exhaustive).max(), 1e-6))
         contacts += int((gap < 0.0).sum())
-    assert contacts > 200
+    assert contacts > 50
 
 
 @pytest.mark.mpi

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import subprocess
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from piezomat import cli
 from tests.conftest import bare_environment
 
 ROOT = Path(__file__).parents[2]
@@ -56,16 +56,16 @@ def test_each_question_has_a_command_and_is_short() -> None:
 
 
 @pytest.mark.slow
-def test_the_commands_run(tmp_path: Path) -> None:
+def test_the_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """In one folder, in their order: some read what others have written."""
-    environment = bare_environment() | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    monkeypatch.chdir(tmp_path)
     for command in [command for commands in questions().values() for command in commands]:
-        words = [sys.executable, "-m", "piezomat", *shlex.split(command)[1:]]
-        done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, f"{command}: {done.stderr}"
+        status = cli.main(shlex.split(command)[1:])
+        out, err = capsys.readouterr()
+        assert status == 0, f"{command}: {err}"
         if command.startswith("piezomat report short"):
-            assert "effective d33" in done.stdout
+            assert "effective d33" in out
         if command.startswith("piezomat report mat"):
-            assert "V/kPa" in done.stdout
+            assert "V/kPa" in out
         if command.startswith("piezomat report stack"):
-            assert "beyond the yield stress of 1 MPa" in done.stdout
+            assert "beyond the yield stress of 1 MPa" in out

@@ -58,8 +58,7 @@ ITERATIVE = pressed(3, load=SCENE.load, solver={"max_cutbacks": 0, "kind": "iter
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("where", CALLS)
-@pytest.mark.parametrize("error", [SolveError, StepAbandoned])
+@pytest.mark.parametrize(("where", "error"), list(zip(CALLS, 3 * [SolveError, StepAbandoned], strict=True)))
 def test_petsc_returns_before_the_error_is_raised(
     where: str, error: type[Exception], comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,14 +77,9 @@ def test_a_projection_at_a_vertex_of_the_master_does_not_stall() -> None:
     ("passes", "penalty", "force"),
     [
         (1, 1e4, -32.316),
-        (1, 1e5, -45.255),
-        (1, 1e6, -47.196),
         (1, 1e7, -47.388),
-        (1, 1e8, -47.407),
-        (2, 1e4, -32.351),
         (2, 1e5, -45.263),
         (2, 1e6, -47.195),
-        (2, 1e7, -47.388),
         (2, 1e8, -47.408),
     ],
 )
@@ -125,10 +120,9 @@ def test_fine_curved_facets_far_inside_each_other_neither_scallop_nor_slide_abou
     assert history[-1]["max_penetration@lower-upper"] > 0.6 * 0.004
 
 
-@pytest.mark.parametrize(("count", "seed"), [(6, 3), (30, 2)])
-def test_loose_fibers_do_not_swing_in_the_pull_of_potentials(count: int, seed: int) -> None:
+def test_loose_fibers_do_not_swing_in_the_pull_of_potentials() -> None:
     """The tangent was indefinite where only the fading electric contact pulls on a fiber: steps of no length, cuts."""
-    keys = mat(count, seed, steps=1, finer=COARSE) | CHEAP
+    keys = mat(6, 3, steps=1, finer=COARSE) | CHEAP
     keys |= {"load.factors.press": [1.0 / STEPS], "solver.kind": "direct"}
     scene = Scene.load("random_mat", [f"{key}={value(thing)}" for key, thing in keys.items()])
     (last,) = run(scene, MPI.COMM_SELF).history

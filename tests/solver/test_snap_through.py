@@ -15,11 +15,13 @@ MOST = (
     20  # evaluations of a step in which bodies are apart: 8 were counted, and 262 where rounding was taken for a snap
 )
 
+BONDS = {"law": "bilinear", "strength": 40.0, "energy": 0.2}
 APART = 0.5  # load factor up to which no body is within reach of the other's bonds
 
 
-@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("adhesion", [{"law": "bilinear", "strength": 40.0, "energy": 0.2}, None])
+@pytest.mark.parametrize(
+    ("dimension", "adhesion"), [(2, BONDS), (2, None), pytest.param(3, BONDS, marks=pytest.mark.slow)]
+)
 def test_steps_of_bodies_apart_cost_less_than_those_in_contact(dimension: int, adhesion: dict[str, Any] | None) -> None:
     """Before contact and after it, where no bond is left."""
     load = {"steps": [8, 16], "factors": {"press": [1.0, -1.0]}}

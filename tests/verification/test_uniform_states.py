@@ -28,8 +28,6 @@ from tests.bulk import (
     unit_mesh,
 )
 
-pytestmark = pytest.mark.mpi
-
 ELEMENTS = [(cell, order) for order in (1, 2) for cell in DIMENSION]
 POLINGS = {2: ([0, 1, 0], [2, 1, 0.5]), 3: ([0, 0, 1], [1, 2, -1.5])}
 
@@ -37,20 +35,20 @@ POLINGS = {2: ([0, 1, 0], [2, 1, 0.5]), 3: ([0, 0, 1], [1, 2, -1.5])}
 class Block:
     """A distorted unit block of one material under pressure on its two faces across the last axis."""
 
-    def __init__(self, comm: MPI.Comm, cell: str, order: int, kinematics: Any = "small") -> None:
+    def __init__(self, comm: MPI.Comm, cell: str, order: int) -> None:
         self.dim = DIMENSION[cell]
         divisions = 3 if self.dim == 2 else 2
         self.mesh = unit_mesh(comm, cell, order, divisions, shaken(divisions, order))
         self.space = fenicsx.lagrange(self.mesh, order, self.dim + 1)
         self.w = dolfinx.fem.Function(self.space)
         self.law = self.law_of(BUILT_IN["pvdf"], "strain", 1.0)
-        self.residual = internal_form(self.w, [self.law], kinematics)
-        self.tangent = tangent_form(self.w, [self.law], kinematics)
+        self.residual = internal_form(self.w, [self.law], "small")
+        self.tangent = tangent_form(self.w, [self.law], "small")
         self.pressure = dolfinx.fem.Constant(self.mesh, 0.0)
         last = self.dim - 1
         ds = facet_measure(self.mesh, [(last, 0.0), (last, 1.0)])
         loads = [Load(tag, pressure=self.pressure) for tag in (0, 1)]
-        self.loads = boundary_loads(ufl.TestFunction(self.space), self.w, ds, loads, kinematics, 1.0)
+        self.loads = boundary_loads(ufl.TestFunction(self.space), self.w, ds, loads, "small", 1.0)
         self.x, self.owned = nodes(self.space)
 
     def law_of(self, material: Material, plane: Any, scale: float) -> Region:
@@ -81,9 +79,14 @@ def planes(dim: int) -> tuple[str, ...]:
     return ("strain", "stress") if dim == 2 else ("strain",)
 
 
-@pytest.mark.parametrize(("cell", "order"), ELEMENTS)
-def test_patch_with_its_whole_boundary_held(cell: str, order: int, comm: MPI.Comm, rng: np.random.Generator) -> None:
-    block = Block(comm, cell, order)
+@pytest.fixture(scope="module", params=ELEMENTS, ids=lambda element: f"{element[0]}-{element[1]}")
+def block(request: pytest.FixtureRequest) -> Block:
+    """A block of each kind of cells. Collective."""
+    return Block(MPI.COMM_WORLD, *request.param)
+
+
+@pytest.mark.mpi
+def test_patch_with_its_whole_boundary_held(block: Block, rng: np.random.Generator) -> None:
     fixed = np.repeat(boundary(block.x, block.dim)[:, None], block.dim + 1, axis=1)
     for name, poling in (("pvdf", POLINGS[block.dim][0]), ("pzt5h", POLINGS[block.dim][1])):
         for plane in planes(block.dim):
@@ -93,15 +96,13 @@ def test_patch_with_its_whole_boundary_held(cell: str, order: int, comm: MPI.Com
             assert np.abs(found - exact).max() < 1e-10
 
 
-@pytest.mark.parametrize(("cell", "order"), ELEMENTS)
-@pytest.mark.parametrize("kinematics", ["small", "finite"])
-def test_uniform_stress_is_in_equilibrium_inside(
-    cell: str, order: int, kinematics: str, comm: MPI.Comm, rng: np.random.Generator
+@pytest.mark.mpi
+def test_uniform_stress_of_finite_kinematics_is_in_equilibrium_inside(
+    block: Block, comm: MPI.Comm, rng: np.random.Generator
 ) -> None:
-    block = Block(comm, cell, order, kinematics)
     block.fill(BUILT_IN["pzt5h"].rotated(POLINGS[block.dim][1]), "strain")
     block.w.x.array[:] = block.linear(rng.uniform(-0.2, 0.2, (block.dim + 1, block.dim))).ravel()
-    force = np.abs(assemble_vector(block.residual).array_r.reshape(-1, block.dim + 1))
+    force = np.abs(assemble_vector(internal_form(block.w, [block.law], "finite")).array_r.reshape(-1, block.dim + 1))
     inside = force[~boundary(block.x, block.dim)[: block.owned]]
     largest = comm.allreduce(force.max(initial=0), MPI.MAX)
     assert comm.allreduce(inside.max(initial=0), MPI.MAX) < 1e-12 * largest
@@ -126,10 +127,9 @@ def expected(law: Array, dim: int, sides: str, circuit: str, scale: float) -> tu
     return state, gradient
 
 
-@pytest.mark.parametrize(("cell", "order"), ELEMENTS)
-def test_pressed_block(cell: str, order: int, comm: MPI.Comm) -> None:
+@pytest.mark.mpi
+def test_pressed_block(block: Block) -> None:
     """Laterally free or fixed, short or open circuit: the reference's four states, and the same turned."""
-    block = Block(comm, cell, order)
     dim, last = block.dim, block.dim - 1
     block.pressure.value = 1.0
     outside = boundary(block.x, block.dim)

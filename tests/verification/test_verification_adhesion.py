@@ -74,13 +74,13 @@ def hertz_approach(half_width: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("parameter", "facet"), [(0.5, 0.06), (1.0, 0.04), (1.5, 0.02)])
+@pytest.mark.parametrize(("parameter", "facet"), [(0.5, 0.06), (1.0, 0.04)])
 def test_two_fibers_pull_off_as_baney_and_hui_say(tmp_path: Path, parameter: float, facet: float) -> None:
     """The strongest pull of two parallel fibers whose bonds carry a constant stress up to a cut-off.
 
     Pressed first, further than bonds will reach, then pulled with the flat faces' displacement prescribed. Facets (in
-    LENGTH) are less than a twentieth of the cohesive zone, which is 1.8, 1.0 and 0.6 wide at pull-off. At 2.0 it is 0.4
-    wide and bonds snap one facet after the other: five times the work of 1.5, for an error of 0.4 %.
+    LENGTH) are at most a 25th of the cohesive zone, which is 1.8 and 1.0 wide at pull-off. At 1.5 it is 0.6 wide, at
+    2.0 0.4, and bonds snap one facet after the other: five and 25 times the work, errors of 0.5 and 0.4 %.
     """
     half_of_facing_halves(tmp_path / "m.msh", size=facet * LENGTH, radius=RADIUS, near=2.7 * LENGTH, growth=0.25)
     scene = press(
