@@ -113,7 +113,7 @@ SCALED = {
     "contact.search": ["DRIFT", "MARGIN"],
     "contact.setup": ["NEAR"],
     "contact.shared_points": ["REACH"],
-    "contact.surface_pair": ["CUT_DRIFT"],
+    "contact.segmented_pair": ["CUT_DRIFT"],
     "solver.active_set_prediction": ["PREDICTION_TOLERANCE", "POOR_STEP"],
     "solver.coarse_space": ["AGGREGATE_NODES", "RELAXATION", "SAFETY"],
     "solver.condensation": ["CANDIDATE_DISTANCE"],
