@@ -34,10 +34,10 @@ class Watched:
         self.before = before
         self.after = after
 
-    def solve(self, search_radius: float, report: NewtonReport) -> None:
+    def solve(self, search_radius: float, report: NewtonReport, *, settled: bool = False) -> None:
         """See `Newton.solve`."""
         self.before(self.newton.problem)
-        self.newton.solve(search_radius, report)
+        self.newton.solve(search_radius, report, settled=settled)
         self.after(self.newton.problem)
 
 

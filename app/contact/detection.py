@@ -21,6 +21,8 @@ from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.global_search import share_facets
 
+STAYS = 1e-3  # facets: motion up to which surfaces face across open gaps what they did
+
 
 class Detection:
     """All surface pairs and rigid planes of a run on this rank. Every method is collective.
@@ -101,14 +103,21 @@ class Detection:
         for plane in self.planes:
             plane.detect(self.nodes, position, max(search_radius, AHEAD * plane.law.interaction_range))
         self._search.restart(displacement, search_radius)
+        self._partners_at = position
 
     def renew_partners(self, state: PETSc.Vec) -> bool:
-        """Find anew what faces what across open gaps, at a state within the search radius; False if nothing can."""
-        position = self.nodes.reference + self.nodes.gather(state)[:, : self.dim]
+        """Find anew what faces what across open gaps, at a state within the search radius; False: it is as it was."""
         pairs = [p for p in self.surface_pairs if p.exchange is not None]
+        if not pairs:
+            return False
+        position = self.nodes.reference + self.nodes.gather(state)[:, : self.dim]
+        moved = parallel.largest(self.comm, np.abs(position - self._partners_at).max(initial=0.0)[None])[0]
+        if moved <= STAYS * self.mean_facet_size:
+            return False
+        self._partners_at = position
         for p in pairs:
             p.exchange.detect(p.facets, position, self._accepted_penetration)
-        return len(pairs) > 0
+        return True
 
     @property
     def _accepted_penetration(self) -> float:
