@@ -62,9 +62,9 @@ class GapMedium:
 def gap_medium(model: Model) -> GapMedium | None:
     """The medium in the gaps of a model; None where it has no potential, or no medium.
 
-    Without two prescribed potentials, charges do not pull on bodies that contact alone holds: the potentials of
-    their strain do so with a thousandth of the forces of contact, but Newton's method follows each free fiber that it
-    moves (a mat: 39 iterations of a step instead of 14).
+    Without two prescribed potentials, or a prescribed charge, charges do not pull on bodies that contact alone holds:
+    the potentials of their strain do so with a thousandth of the forces of contact, but Newton's method follows each
+    free fiber that it moves (a mat: 39 iterations of a step instead of 14).
     """
     keys = model.scene.contact or ContactKeys()
     if not model.electric or keys.medium == "none":
@@ -79,7 +79,9 @@ def gap_medium(model: Model) -> GapMedium | None:
     least = float(thickness.min())
     if reach is None:
         reach = getattr(model.scene.geometry, "radius", 0.5 * least)
-    pulls = not model.has_unconstrained_bodies or len(model.scene.potentials) > 1
+    scene = model.scene
+    is_charged = any(row.charge for row in scene.electrodes) or any(row.charge_density for row in scene.boundaries)
+    pulls = not model.has_unconstrained_bodies or len(scene.potentials) > 1 or is_charged
     return GapMedium(permittivity, gap, reach, pulls, voltage, least)
 
 

@@ -138,7 +138,8 @@ class Newton:
         self.watch.count()
         self.watch.end_step()
         with self._options.blamed():
-            self.start_value.step(report, self._mode, closely=problem.is_linear)
+            self.start_value.step(report, self._mode, closely=problem.is_linear or settled)
+        started = report.iterations
         if not self._options_are_checked:  # the parts of the linear solver are set up now, which the others are read by
             self._options.check_used(problem.comm, ("",))
             self._options_are_checked = True
@@ -148,7 +149,8 @@ class Newton:
         for _ in range(MAX_REPAIRS):
             self._iterate()
             if not self.checks.repair(report):
-                self._final_solve()
+                if not settled or report.iterations > started:  # the start was as close
+                    self._final_solve()
                 return
         raise SolveError("the contact surfaces kept moving further than the contact search had looked")
 

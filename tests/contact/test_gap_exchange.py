@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from piezomat.contact.interface_laws import gap_medium
+from piezomat.discretization.model import Model
 from piezomat.forms.contact.laws.medium import Medium
 from piezomat.forms.materials import VACUUM_PERMITTIVITY
+from piezomat.meshes.body_mesh import create
 from piezomat.scene import Scene
 from piezomat.simulation import run
 from tests.derivative import slope
@@ -72,6 +75,26 @@ def test_force_over_voltage_is_charge_over_approach() -> None:
     force = slope(lambda h: at(30.0 + h, 0.0)["force_y@top"], 0.1)
     charge = slope(lambda h: at(30.0, h)["charge@top"], 1e-4)
     assert force == pytest.approx(-charge, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("electrode", "density", "pulls"),
+    [({}, 0.0, False), ({"charge": 1e-3}, 0.0, True), ({"potential": 10.0}, 0.0, True), ({}, 1e-4, True)],
+)
+def test_charges_that_are_given_pull_on_bodies_that_contact_alone_holds(
+    electrode: dict[str, float], density: float, pulls: bool
+) -> None:
+    """Those of strain alone do not: they are next to nothing, and Newton's method would follow each loose fiber."""
+    rows: list[dict[str, Any]] = [
+        {"on": "bottom", "displacement": [0, 0], "potential": 0},
+        {"on": "top", "displacement": [0, "free"], "traction": [0, -1.0]},
+    ]
+    if density:
+        rows.append({"on": "lower_contact", "charge_density": density})
+    scene = halves(
+        mesh={"size": 0.3}, boundaries=rows, electrodes=[{"name": "top", "on": ["top"], **electrode}], load={}
+    )
+    assert gap_medium(Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))).pulls == pulls
 
 
 def halves(**changes: Any) -> Scene:
