@@ -72,15 +72,15 @@ class ClosestPoints:
         position: Array,
         radius: float,
         *,
-        blended: bool = False,
+        blending: float = 0.0,
     ) -> None:
         """Find the near points.
 
         covered (m,): points that can meet something; depth: penetrations (um) up to which closest points are accepted,
-        of another part and of the same part; position (n, d): of the seen nodes; radius: search radius, um; blended:
-        whether several facets may share a point near an edge.
+        of another part and of the same part; position (n, d): of the seen nodes; radius: search radius, um; blending:
+        width over which several facets share a point near an edge, see `SharedPoints`, 0 without.
         """
-        self.facets, self.points, self._blended = facets, points, blended
+        self.facets, self.points, self._blending = facets, points, blending
         self._depth, self._self_depth = depth
         here = np.einsum("mk,mkd->md", points.shape, facets.slave_at(position, points.facet))
         masters = facets.master_at(position)
@@ -162,9 +162,9 @@ class ClosestPoints:
 
         Of that facet are facet, xi and projection then, but the gap is the mean one.
         """
-        near = np.flatnonzero(projection.gap <= within) if self._blended else np.zeros(0, np.int64)
+        near = np.flatnonzero(projection.gap <= within) if self._blending else np.zeros(0, np.int64)
         slave, facet = self.points.facet[self.near[projected[near]]], self.facet[projected[near]]
-        every = SharedPoints.of(self.facets, position, points[near], slave, facet)
+        every = SharedPoints.of(self.facets, position, points[near], slave, facet, self._blending)
         rows, largest = near[every.row], every.largest()
         for name in projection.__dataclass_fields__:
             getattr(projection, name)[rows] = getattr(every.projection, name)[largest]

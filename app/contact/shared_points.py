@@ -41,14 +41,16 @@ class SharedPoints:
         points: Array,
         slave: Integers,
         facet: Integers,
+        blending: float,
     ) -> SharedPoints:
         """The facets over which points have a share, also where it is one alone.
 
         position (n, d): of the seen nodes; points (m, d), um, on slave facets (m,); facet (m,): one of the facets;
-        those that are joined to it are tried. Deep behind a convex edge, points are well over both of its facets.
+        those that are joined to it are tried; blending: width of the shares, over `WIDTH`. Deep behind a convex edge,
+        points are well over both of its facets.
         """
         kind = facets.kind
-        width = WIDTH[1 if facets.master.rounding.shape[1] else kind.order]
+        width = blending * WIDTH[1 if facets.master.rounding.shape[1] else kind.order]
         row, other = facets.joined.of_facets(facet)
         may = facets.may_meet(slave[row], other) if facets.self_contact is not None else np.ones(len(row), bool)
         row, other = row[may], other[may]

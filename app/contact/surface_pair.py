@@ -56,7 +56,7 @@ class SurfacePair(ContactPoints):
     first: whether the slave is the first surface of its pair
     depth: penetration (um) beyond which a point has come from the far side of a body and meets nothing
     self_depth: the same in its own part, which is thinner than it seems if it is bent
-    blended: whether master facets share points near their edges, see `SharedPoints`
+    blending: width over which master facets share points near their edges, see `SharedPoints`; 0: they do not
     exchange: charges across open gaps, which the points leave out; None without a medium
 
     Valid after a detection:
@@ -77,7 +77,7 @@ class SurfacePair(ContactPoints):
     first: bool
     depth: float
     self_depth: float
-    blended: bool = False
+    blending: float = 0.0
     exchange: GapExchange | None = None
     covered: Booleans = field(init=False)
     facets: DetectedFacets = field(init=False)
@@ -126,7 +126,7 @@ class SurfacePair(ContactPoints):
         self._cut(position, cut_distance)
         depth = self.depth, self.self_depth
         given = self.facets, self.points, self.covered, depth, position, radius
-        self.closest = ClosestPoints(*given, blended=self.blended)
+        self.closest = ClosestPoints(*given, blending=self.blending)
         self.near_points = self.closest.near
         if self.exchange is not None:
             self.exchange.detect(self.facets, position, penetration)

@@ -83,14 +83,15 @@ def test_inexact_linear_solves_end_alike_on_all_ranks(comm: MPI.Comm) -> None:
     np.testing.assert_allclose(two, direct, atol=1e-7)
 
 
+@pytest.mark.parametrize("medium", ["none", "air"])
 @pytest.mark.parametrize("passes", [1, 2])
 @pytest.mark.parametrize("factor", [1.0, 1.5])
-def test_mirror_symmetry_where_a_node_is_over_a_vertex(factor: float, passes: int, comm: MPI.Comm) -> None:
+def test_mirror_symmetry_where_a_node_is_over_a_vertex(factor: float, passes: int, medium: str, comm: MPI.Comm) -> None:
     """One of the two facets that a node was over took it: 1 % of the force acted sideways."""
     scene = pressed(
         2,
         mesh={"size": 0.2, "contact_size": 0.06, "cells": "tensor", "size_factors": {"upper": factor}},
-        contact={"method": "node", "passes": passes, "medium": "none"},
+        contact={"method": "node", "passes": passes, "medium": medium},
     )
     for row in run(scene, comm).history:
         assert abs(row["force_x@top"]) < 1e-9 * abs(row["force_y@top"])
