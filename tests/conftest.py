@@ -21,7 +21,7 @@ import sys
 import time
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Generator, Sequence, Set
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,26 +81,22 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if WORLD.size == 1:
         return
-    parallel = [item for item in items if item.get_closest_marker("mpi") is not None]
-    names = {item.nodeid for item in parallel}
-    if config.option.share_cases:
-        slow = {item.nodeid for item in parallel if item.get_closest_marker("slow") is not None}
-        names = set(third([item.nodeid for item in parallel], slow, WORLD.size % 3))
+    chosen = [item.nodeid for item in items if item.get_closest_marker("mpi") is not None]
+    names = set(third(chosen, WORLD.size % 3) if config.option.share_cases else chosen)
     config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in names])
     items[:] = [item for item in items if item.nodeid in names]
 
 
-def third(names: Sequence[str], slow: Set[str], part: int) -> list[str]:
-    """A third of the cases of each test (part 0, 1 or 2), mixed but always alike; a test of one case, unless slow."""
+def third(names: Sequence[str], part: int) -> list[str]:
+    """Of each test a third of its cases (part 0, 1 or 2), mixed but always alike; of tests of one case a third."""
     cases = defaultdict(list)
     for name in names:
         cases[name.partition("[")[0]].append(name)
     chosen = []
     for test, group in cases.items():
-        # Tests of two cases begin in different parts, or one part would have fewer of them.
+        # Tests begin in different parts, or one part would have all those of one case.
         mixed = sorted(group, key=lambda name: zlib.crc32(name.encode()))
-        mine = mixed[(part - zlib.crc32(test.encode())) % 3 :: 3]
-        chosen += group if len(group) == 1 and not slow.intersection(group) else mine
+        chosen += mixed[(part - zlib.crc32(test.encode())) % 3 :: 3]
     return chosen
 
 

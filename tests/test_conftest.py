@@ -24,14 +24,15 @@ def test_every_rank_runs_the_same(comm: MPI.Comm, shared_tmp_path: Path, rng: np
 
 
 def test_two_three_and_four_ranks_share_the_cases_of_a_test() -> None:
-    tests = {"a.py::two": [f"a.py::two[{x}-{y}]" for x in "pqr" for y in (1, 2)]}
+    tests = {"a.py::six": [f"a.py::six[{x}-{y}]" for x in "pqr" for y in (1, 2)]}
     tests["b.py::two"] = ["b.py::two[0]", "b.py::two[1]"]
-    shared = [name for cases in tests.values() for name in cases] + ["a.py::slow"]
-    parts = [third([*shared, "a.py::one"], {"a.py::slow"}, part) for part in range(3)]
-    assert all("a.py::one" in part for part in parts)
-    assert sorted(name for part in parts for name in part) == sorted([*shared, *["a.py::one"] * 3])
-    assert [sum(name.startswith("a.py::two") for name in part) for part in parts] == [2, 2, 2]
+    tests |= {f"c.py::one_{x}": [f"c.py::one_{x}"] for x in "abcdefgh"}
+    names = [name for cases in tests.values() for name in cases]
+    parts = [third(names, part) for part in range(3)]
+    assert sorted(name for part in parts for name in part) == sorted(names)
+    assert [sum(name.startswith("a.py::six") for name in part) for part in parts] == [2, 2, 2]
     assert sorted(sum(name.startswith("b.py::two") for name in part) for part in parts) == [0, 1, 1]
+    assert all(any(name.startswith("c.py::one") for name in part) for part in parts)
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,6 @@ def test_the_force_hardly_depends_on_the_penalty(method: str) -> None:
     assert abs(soft_augmented / stiff_augmented - 1) < (2e-3 if method == "segment" else 5e-3) * 1.1
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_bonds_break_as_without_it(comm: MPI.Comm) -> None:
     """Multipliers press, they do not pull: all of the adhesion's energy is dissipated, after its full strength."""

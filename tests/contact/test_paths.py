@@ -73,7 +73,6 @@ def test_two_paths_end_alike_on_all_ranks(
     assert abs(one[:2]).max() > 1e-4
 
 
-@pytest.mark.slow
 def test_inexact_linear_solves_end_alike_on_all_ranks(comm: MPI.Comm) -> None:
     solver = {"kind": "iterative", "tolerance": 1e-9}
     one = answer(run(crossed(0.07, 3, (0.0, 0.0), solver=solver), MPI.COMM_SELF).history)

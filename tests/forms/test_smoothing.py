@@ -173,11 +173,10 @@ def test_tangent_is_the_derivative_of_the_residual(name: str, method: str, rng: 
     assert (difference - product).norm() < 1e-5 * product.norm()
 
 
-@pytest.mark.parametrize("method", ["point", "segment"])
-def test_a_fiber_slides_smoothly_round_a_coarse_stiff_one(method: str) -> None:
+def test_a_fiber_slides_smoothly_round_a_coarse_stiff_one() -> None:
     """Ripple of the normal force a third at most, catching of corners a fifth at most of what they are with facets."""
     flat, smooth = (
-        ripple(run(around(Method("", {"method": method, "smoothing": smoothing}), 24, 100.0, steps=16), MPI.COMM_SELF))
+        ripple(run(around(Method("", {"method": "point", "smoothing": smoothing}), 24, 100.0, steps=16), MPI.COMM_SELF))
         for smoothing in (False, True)
     )
     assert smooth[0] < flat[0] / 3.0

@@ -210,7 +210,6 @@ def test_contact_of_mats_is_that_of_an_exhaustive_search(
     assert contacts > 50
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_what_comes_near_is_found_without_a_search_of_all(
     comm: MPI.Comm, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch

@@ -153,7 +153,6 @@ def test_resumed_on_another_number_of_ranks(
     check_files(out, finished=True)
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_segments_keep_the_history_of_their_pieces(
     comm: MPI.Comm, shared_tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -57,7 +57,6 @@ def test_a_run_keeps_what_converged_before_the_bound(tmp_path: Path, monkeypatch
     assert (tmp_path / "out" / "history.csv").read_text(encoding="utf-8").count("\n") == 2
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_a_signal_acts_at_the_next_iteration(
     comm: MPI.Comm, shared_tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -192,7 +192,6 @@ def test_finite_kinematics_with_an_open_electrode() -> None:
     assert max(r["newton"] for r in history) <= 6
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_planes_as_electrodes() -> None:
     """A plane at a potential is an electrode of one plane; two planes and a body are one electrode."""

@@ -132,7 +132,6 @@ def test_a_force_on_a_plane_is_that_of_its_travel(kinematics: str) -> None:
     assert by_motion["elastic"] == pytest.approx(by_force["elastic"], rel=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_solvers_and_ranks_agree() -> None:
     """A plane by force that is an electrode too, on fibers that nothing holds; alone and on all ranks."""
@@ -281,7 +280,6 @@ def test_a_rigid_face_of_a_held_block_is_one_linear_solve() -> None:
 # --- Steps that are cut, and runs that are resumed
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_resumed_runs_go_on_from_the_travel(tmp_path_factory: pytest.TempPathFactory) -> None:
     comm = MPI.COMM_WORLD

@@ -65,7 +65,6 @@ def crossed(lower: dict[str, Any], upper: dict[str, Any]) -> Scene:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_straight_fibers_at_30_degrees_are_those_of_vectors(comm: MPI.Comm) -> None:
     """In contact, and in the fields of the results."""
@@ -105,7 +104,6 @@ def test_a_rising_fiber_is_poled_normal_to_it(kinematics: str, comm: MPI.Comm, s
     assert np.abs(found({})["electric_field"] - field).max() > 1e-2 * np.abs(field).max()
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_a_flat_half_ring_that_is_isotropic_about_its_poling(comm: MPI.Comm, shared_tmp_path: Path) -> None:
     """Across is upward all along it, and the direction of axis 1 has no effect: between electrodes, in contact."""
@@ -131,7 +129,6 @@ def test_a_flat_half_ring_that_is_isotropic_about_its_poling(comm: MPI.Comm, sha
     assert history["down"][-1]["charge@top"] == pytest.approx(-charge, rel=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_capacitance_of_an_anisotropic_quarter_ring(
     comm: MPI.Comm, shared_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
