@@ -22,6 +22,7 @@ from piezomat.contact.cohesive_zone import coarse_cohesive_zone
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.short_circuit import short_circuit
 from piezomat.contact.start_checks import check_start
+from piezomat.contact.unseen_penetration import unseen_corners
 from piezomat.discretization.model import Model
 from piezomat.interrupts import StopRequest, stop_on_signal
 from piezomat.meshes.body_mesh import BodyMesh, Partition
@@ -225,7 +226,8 @@ class _Session:
             for note in environment.notes():
                 log.warning("%s", note)
             log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
-            for text in [*self.model.warnings, coarse_cohesive_zone(self.model, self.problem.contact)]:
+            contact = self.problem.contact
+            for text in [*self.model.warnings, coarse_cohesive_zone(self.model, contact), unseen_corners(contact)]:
                 if text is not None:
                     progress.warn(text)
             for step in todo:

@@ -73,14 +73,17 @@ class ClosestPoints:
         radius: float,
         *,
         blending: float = 0.0,
+        shared: Booleans | None = None,
     ) -> None:
         """Find the near points.
 
         covered (m,): points that can meet something; depth: penetrations (um) up to which closest points are accepted,
         of another part and of the same part; position (n, d): of the seen nodes; radius: search radius, um; blending:
-        width over which several facets share a point near an edge, see `SharedPoints`, 0 without.
+        width over which several facets share a point near an edge, see `SharedPoints`, 0 without; shared (f,): slave
+        facets whose points they may share.
         """
         self.facets, self.points, self._blending = facets, points, blending
+        self._shared = np.zeros(len(facets.slave), bool) if shared is None or not blending else shared
         self._depth, self._self_depth = depth
         here = np.einsum("mk,mkd->md", points.shape, facets.slave_at(position, points.facet))
         masters = facets.master_at(position)
@@ -162,7 +165,7 @@ class ClosestPoints:
 
         Of that facet are facet, xi and projection then, but the gap is the mean one.
         """
-        near = np.flatnonzero(projection.gap <= within) if self._blending else np.zeros(0, np.int64)
+        near = np.flatnonzero((projection.gap <= within) & self._shared[self.points.facet[self.near[projected]]])
         slave, facet = self.points.facet[self.near[projected[near]]], self.facet[projected[near]]
         every = SharedPoints.of(self.facets, position, points[near], slave, facet, self._blending)
         rows, largest = near[every.row], every.largest()

@@ -15,9 +15,10 @@ from piezomat.contact.contact_points import Snapshot
 from piezomat.contact.detection import Detection
 from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
+from piezomat.contact.penetrating_places import PenetratingPlaces
 from piezomat.contact.plate_capacitor import PlateCapacitor
 from piezomat.contact.rigid_plane import RigidPlane
-from piezomat.contact.surface_pair import PenetratingNodes, SurfacePair
+from piezomat.contact.surface_pair import SurfacePair
 from piezomat.contact.terms import ContactTerms
 from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.state import ReadPoints, SavedHistory
@@ -77,7 +78,7 @@ class Interfaces(Detection, BlockTerm):
         self._none = {t: ContactTerms.none(self.nodes_per_pair, self.block_size, tangent=t) for t in (False, True)}
         self._linearized = self._none[True]
         self._plane_terms: list[ContactTerms] = []
-        self._nodes_inside: tuple[NodalState, list[PenetratingNodes]] | None = None
+        self._places_inside: tuple[NodalState, list[PenetratingPlaces]] | None = None
 
     # --- Evaluation ---
 
@@ -242,13 +243,12 @@ class Interfaces(Detection, BlockTerm):
         """Deepest penetration of the last evaluation, um."""
         return self._deepest(-p.projection.gap for p in self.point_sets if p.projection is not None)
 
-    def penetrating_nodes(self) -> list[PenetratingNodes]:
-        """Nodes of this rank's slave facets that lie inside other bodies at the last evaluation. Not collective."""
-        if self._nodes_inside is None or self._nodes_inside[0] is not self.state:
+    def penetrating_places(self) -> list[PenetratingPlaces]:
+        """Nodes and edges of this rank's slave facets inside other bodies at the last evaluation. Not collective."""
+        if self._places_inside is None or self._places_inside[0] is not self.state:
             given = self.pairs, self.state.position, 2.0 * self.last_penetration
-            found = [p.penetrating_nodes(*given) for p in self.surface_pairs]
-            self._nodes_inside = self.state, found
-        return self._nodes_inside[1]
+            self._places_inside = self.state, [PenetratingPlaces.of(p, *given) for p in self.surface_pairs]
+        return self._places_inside[1]
 
     def penetration_in_facets(self) -> float:
         """Deepest penetration of the last evaluation in sizes of the facets that it is found on."""

@@ -220,11 +220,18 @@ class RigidPlane(ContactPoints):
         """Number (r,) that the plane has in the results, for each point."""
         return np.full(len(self.projected_points), pairs.first_plane + self.pair - len(pairs.listed))
 
-    def penetration_of_nodes(self, position: Array) -> float:
-        """Deepest penetration of the nodes of facets with near points, um, with the seen nodes at `position`."""
-        facet = np.unique(self.points.facet[self.near_points])
+    def deepest_node(self, position: Array) -> tuple[float, float]:
+        """Penetration of the deepest node of facets with near points, and size of its facet, um; 0 and 1 for none.
+
+        position: of the seen nodes.
+        """
+        facet, first = np.unique(self.points.facet[self.near_points], return_index=True)
         nodes = rounded(self.slave.kind, position[self.slave_nodes[facet]], self.slave.rounding[facet])
-        return float(-self._gap(nodes).min(initial=0.0))
+        least = self._gap(nodes).min(axis=1)
+        if not (least < 0.0).any():
+            return 0.0, 1.0
+        deepest = least.argmin()
+        return float(-least[deepest]), float(self.facet_size[self.near_points[first[deepest]]])
 
     def _gap(self, points: Array) -> Array:
         return (points - self.start - self.offset) @ self.normal

@@ -8,10 +8,10 @@ import numpy as np
 
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.state import Points, ReadPoints
-from piezomat.forms.arrays import Array
+from piezomat.forms.arrays import Array, Booleans
 from piezomat.forms.contact.facets import Facets
 from piezomat.forms.contact.gap import project
-from piezomat.forms.contact.integrals import SlavePoints
+from piezomat.forms.contact.integrals import SlavePoints, with_closed_points
 from piezomat.forms.contact.segments import nearest_points, segment_points
 from piezomat.meshes.contact.facet_bounds import facing_pairs
 
@@ -24,8 +24,8 @@ CUT_DRIFT = 1e-3
 class SegmentedPair(SurfacePair):
     """A surface pair with the points of the segments of the slave facets, cut at every detection.
 
-    Master facets count that come nearer than the cut distance. A new point takes the history of the nearest one that
-    its facet had at the last converged step.
+    Master facets count that come nearer than the cut distance. Facets with points at their corners are not cut. A new
+    point takes the history of the nearest one that its facet had at the last converged step.
     """
 
     def __post_init__(self) -> None:
@@ -38,17 +38,24 @@ class SegmentedPair(SurfacePair):
         slave = Facets(kind, facets.slave_at(position), self.slave.orientation, self.slave.key)
         master = Facets(kind, facets.master_at(position), facets.master.orientation, facets.master.key)
         pairs = facing_pairs(slave, master, distance)
-        allowed = facets.may_meet(*pairs)
+        allowed = facets.may_meet(*pairs) & ~self.closed[pairs[0]]
         pairs = pairs[0][allowed], pairs[1][allowed]
         points, covered = segment_points(self.slave.reference, slave, master, pairs)
+        cut = covered[~self.closed[points.facet]]
+        points, covered = with_closed_points(points, kind, self.slave.reference, self.closed)
+        covered[~covered] = cut
         bonds = self.viscous_bonds[nearest_points(points.facet, points.xi, self.points)]
         converged = self._converged
         self._set_points(points)
         self.covered, self.viscous_bonds = covered, bonds
-        self._uncut = ~np.isin(points.facet, pairs[0])
+        self._uncut = ~np.isin(points.facet, pairs[0]) & ~self.closed[points.facet]
         nearest = nearest_points(points.facet, points.xi, converged.points)
         self.history, self.met = converged.history[nearest], converged.met[nearest]
         self._take_law(self.met)
+
+    def _shared_facets(self) -> Booleans:
+        """Segments end at the edges of the master."""
+        return self.closed
 
     def _set_points(self, points: SlavePoints) -> None:
         super()._set_points(points)
@@ -57,6 +64,7 @@ class SegmentedPair(SurfacePair):
     def has_stale_segments(self, before: Array, interaction_range: float) -> bool:
         """Whether points in contact have slid since the cut, with the nodes at `before`, or are on uncut facets."""
         acts = (self.projection.gap < interaction_range) | (self.response.traction != 0.0)
+        acts &= ~self.closed[self.points.facet[self.projected_points]]
         rows, master, xi = self.projected_points[acts], self.master_facet[acts], self.projection.xi[acts]
         facets, facet = self.facets, self.points.facet[rows]
         points = np.einsum("mk,mkd->md", self.points.shape[rows], facets.slave_at(before, facet))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
@@ -23,11 +22,12 @@ from piezomat.contact.pairs import Pairs
 from piezomat.contact.plate_capacitor import PlateCapacitor
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.contact.segmented_pair import SegmentedPair
+from piezomat.contact.slave_points import facets_at_corners, has_corner_points, slave_points
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.discretization.model import Model
 from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import corner_kind
-from piezomat.forms.contact.integrals import SlavePoints, facet_areas, nodal_points, quadrature_points
+from piezomat.forms.contact.integrals import facet_areas
 from piezomat.forms.contact.laws.law import ContactLaw
 from piezomat.forms.contact.laws.penalty import NormalPenalty
 from piezomat.meshes import parallel
@@ -37,6 +37,7 @@ from piezomat.meshes.contact.load_balance import SlaveFacets, balanced_ranks
 from piezomat.meshes.contact.nodal_normals import smoothed
 from piezomat.meshes.contact.self_contact import NEIGHBOURHOOD
 from piezomat.meshes.contact.shadow import covered_area
+from piezomat.meshes.contact.sharp_corners import SharpNodes, corners_towards_plane
 from piezomat.meshes.contact.surface import Surface, body_facets, global_numbers, multiplicity, surface
 from piezomat.meshes.mesh_entities import cell_volumes, exterior_facets
 from piezomat.meshes.parallel import redistributed
@@ -59,20 +60,22 @@ def interfaces_of(model: Model) -> Interfaces | None:
         return None
     thickness = _fiber_thickness(model) if keys is not None and keys.self_contact else None
     names = tuple(plane.name for plane in model.scene.planes)
+    space = model.unknowns.space
+    sharp = SharpNodes.of(space, surface(space, "outside", exterior_facets(model.mesh), model.bodies.order))
     if keys is None:
         surface_pairs, pairs = [], Pairs((), (), {}, names)
     elif keys.pairs == "auto":
-        surface_pairs, pairs = _of_bodies(model, thickness, names)
+        surface_pairs, pairs = _of_bodies(model, sharp, thickness, names)
     else:
-        surface_pairs, pairs = _of_scene(model, names)
-    planes, plates = _planes(model, len(pairs.listed))
+        surface_pairs, pairs = _of_scene(model, sharp, names)
+    planes, plates = _planes(model, sharp, len(pairs.listed))
     x, scale = model.coordinate_vector(), model.potential_scale
     geodesic = _geodesic(model, thickness) if thickness is not None else None
-    given = model.comm, model.unknowns.space, x, surface_pairs, planes, pairs, scale, geodesic, plates
+    given = model.comm, space, x, surface_pairs, planes, pairs, scale, geodesic, plates
     return Interfaces(*given, augmented=keys is not None and keys.augment is not None)
 
 
-def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
+def _of_scene(model: Model, sharp: SharpNodes, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
     """The passes of the pairs that the scene names."""
     keys = model.scene.contact
     surfaces: dict[str, Surface] = {}
@@ -91,7 +94,7 @@ def _of_scene(model: Model, planes: tuple[str, ...]) -> tuple[list[SurfacePair],
             some = [any(model.materials[i].electric for i in _bodies_of(model, surfaces[name])) for name in pair]
             laws = _laws(model, electric=all(some))
             given = surfaces[slave], surfaces[master], *components
-            passes.append(_pass(model, number, *given, ONE_TO_ONE, first, laws))
+            passes.append(_pass(model, sharp, number, *given, ONE_TO_ONE, first, laws))
     names = tuple("-".join(pair) for pair in keys.pairs)
     return passes, Pairs(model.bodies.bodies, names, dict(enumerate(names)), planes)
 
@@ -115,7 +118,9 @@ def _check_twice(model: Model, surfaces: dict[str, Surface]) -> None:
                     raise SceneError(key, twice, "each two facets in one pair alone: in two they would meet twice")
 
 
-def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -> tuple[list[SurfacePair], Pairs]:
+def _of_bodies(
+    model: Model, sharp: SharpNodes, thickness: Array | None, planes: tuple[str, ...]
+) -> tuple[list[SurfacePair], Pairs]:
     """The one pass of all bodies against all: every two bodies that share no node.
 
     With self-contact, given the `thickness` of parts, every two bodies, and each with itself.
@@ -130,7 +135,7 @@ def _of_bodies(model: Model, thickness: Array | None, planes: tuple[str, ...]) -
     if _may_meet(rule, [number for number, _ in numbers]):
         electric = [number for number, body in numbers if model.materials[body].electric]
         laws = _laws(model, electric=_may_meet(rule, electric))
-        passes.append(_pass(model, 0, every, every, component, component, rule, True, laws, thickness))
+        passes.append(_pass(model, sharp, 0, every, every, component, component, rule, True, laws, thickness))
     if not passes and not model.scene.planes:
         bonded = [
             f"{named([bodies.bodies[i] for i in members])} share nodes, which bonds them"
@@ -191,7 +196,7 @@ def _fiber_thickness(model: Model) -> Array:
     return 2.0 * (model.dim - 1) * volume / area
 
 
-def _planes(model: Model, first_number: int) -> tuple[list[RigidPlane], list[PlateCapacitor]]:
+def _planes(model: Model, sharp: SharpNodes, first_number: int) -> tuple[list[RigidPlane], list[PlateCapacitor]]:
     """The planes of the scene, which the outside of all bodies meets, and what they are with each other."""
     if not model.scene.planes:
         return [], []
@@ -199,19 +204,24 @@ def _planes(model: Model, first_number: int) -> tuple[list[RigidPlane], list[Pla
     surface_here = _facets(model, "outside", exterior_facets(model.mesh))
     body = model.bodies.cell_body[surface_here.cells]
     outside = SlaveFacets.of(model.unknowns.space, surface_here, np.zeros(len(body), np.int64), body)
-    points = _points(keys, outside)
+    low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
+    high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
+    places = [_place(plane, np.stack([low, high]), model.unknowns.origin) for plane in model.scene.planes]
+    closed = np.zeros(len(outside), bool)
+    if not has_corner_points(keys, outside):
+        reach = model.prescription.largest_motion() + _depth(model, surface_here)
+        for start, normal in places:
+            closed |= corners_towards_plane(model.comm, sharp, surface_here, start, normal, reach).any(axis=1)
+    points = slave_points(keys, outside, closed)
     size, body = facet_sizes(outside)[points.facet], body[points.facet]
     stiffness = np.array([m.mean_stiffness for m in model.materials])[body]
     permittivity = np.array([m.mean_permittivity for m in model.materials])[body]
-    low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
-    high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
     voltage, medium = model.prescription.largest_voltage(), gap_medium(model)
     electrodes = model.constraints.electrodes
     nodes = {name: model.unknowns.reference_node(e.reference) for e in electrodes for name in e.planes}
     pushed = {p.plane.name: p for p in model.constraints.pushed}
     found = []
-    for number, plane in enumerate(model.scene.planes, start=first_number):
-        start, normal = _place(plane, np.stack([low, high]), model.unknowns.origin)
+    for number, (plane, (start, normal)) in enumerate(zip(model.scene.planes, places, strict=True), start=first_number):
         is_electrode = plane.potential is not None or plane.name in nodes
         law: ContactLaw = NormalPenalty(normal_penalty(keys, size, stiffness))
         if is_electrode and medium is not None:
@@ -284,22 +294,9 @@ def _facets(model: Model, name: str, facets: NDArray[np.int32]) -> Surface:
     return smoothed(model.unknowns.space, flat) if keys is not None and keys.smoothing else flat
 
 
-def _points(keys: ContactKeys, group: SlaveFacets, shared: Array | None = None) -> SlavePoints:
-    """The points of a surface that the method asks for; of nodes those with unknowns alone.
-
-    shared: the `multiplicity` of `nodal_points`. Segments begin as whole facets.
-    """
-    if keys.method != "node":
-        return quadrature_points(group.kind, group.reference)
-    if not group.rounding.shape[1]:
-        return nodal_points(group.kind, group.reference, shared)
-    flat = corner_kind(group.kind)
-    points = nodal_points(flat, group.reference[:, : len(flat.nodes)], shared)
-    return replace(points, shape=group.kind.shape(points.xi))
-
-
 def _pass(
     model: Model,
+    sharp: SharpNodes,
     number: int,
     slave: Surface,
     master: Surface,
@@ -322,8 +319,12 @@ def _pass(
     rank = balanced_ranks(comm, slaves, masters, master.reference, radius, rule)
     unit = keys.method == "node" and keys.nodal_weight == "unit"
     shared = redistributed(comm, multiplicity(model.unknowns.space, slave), rank) if unit else None
-    slaves = slaves.redistributed(comm, rank)
-    points = _points(keys, slaves, shared)
+    reach = model.prescription.largest_motion() + depth
+    sides = (slave, slave_component), (master, master_component)
+    closed, unseen = facets_at_corners(comm, keys, sharp, *sides, reach, rule)
+    edges = redistributed(comm, sharp.of_facets(slave) >= 0, rank)
+    slaves, closed = slaves.redistributed(comm, rank), redistributed(comm, closed, rank)
+    points = slave_points(keys, slaves, closed, shared)
     sizes = facet_sizes(slaves)
     size = sizes[points.facet]
     self_depth = 0.5 * float(thickness.min()) if thickness is not None else depth
@@ -348,21 +349,22 @@ def _pass(
         first=first,
         depth=depth,
         self_depth=self_depth,
+        closed=closed,
+        sharp=edges,
+        unseen_corners=unseen,
         blending=_blending(model, keys.method, exchange),
         exchange=exchange,
     )
 
 
 def _blending(model: Model, method: str, exchange: GapExchange | None) -> float:
-    """Width over which facets share points near their edges, over that of `blending`; segments end at the edges.
+    """Width over which facets share points near their edges, over that of `blending`.
 
     With a medium, Newton's method cycles about shared points in two cases, and does not without: nodes (two of 18 runs
     of discs of 30 to 60 facets, pressed by up to a third of their thickness), and prescribed voltages, whose attraction
     is strong (PZT-5H, 20 V, a load). Facets then share little more than what lies over an edge: by symmetry nodes do,
     and one facet alone pushed one pass of them sideways by 3 % of the force.
     """
-    if method == "segment":
-        return 0.0
     cycles = exchange is not None and (method == "node" or model.prescription.largest_voltage() > 0.0)
     return NARROW if cycles else 1.0
 

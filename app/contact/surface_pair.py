@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, ClosestPoints, SearchLimits
+from piezomat.contact.closest_points import ClosestPoints, SearchLimits
 from piezomat.contact.contact_points import ContactPoints, Snapshot
 from piezomat.contact.detected_facets import DetectedFacets
 from piezomat.contact.gap_exchange import GapExchange
@@ -25,21 +25,9 @@ from piezomat.forms.contact.integrals import (
     SlavePoints,
     contact_vectors,
     first_changes,
-    nodes_of,
 )
 from piezomat.forms.contact.laws.law import ContactLaw
 from piezomat.meshes.contact.global_search import GhostFacets, PairingRule
-
-CLOSE = 0.25  # facets: a node may be inside the other body if a point of its facet has a gap below this
-
-
-@dataclass(frozen=True)
-class PenetratingNodes:
-    """Nodes inside another body: pair (k,), depth (k,), and size of their facets (k,), um."""
-
-    pair: Integers
-    depth: Array
-    facet_size: Array
 
 
 @dataclass(kw_only=True)
@@ -56,6 +44,9 @@ class SurfacePair(ContactPoints):
     first: whether the slave is the first surface of its pair
     depth: penetration (um) beyond which a point has come from the far side of a body and meets nothing
     self_depth: the same in its own part, which is thinner than it seems if it is bent
+    closed (f,): slave facets with points at their corners
+    sharp (f, c): whether there is a sharp edge at each corner of the slave facets
+    unseen_corners: whether edges or vertices of the master point to the slave, which has the only points
     blending: width over which master facets share points near their edges, see `SharedPoints`; 0: they do not
     exchange: charges across open gaps, which the points leave out; None without a medium
 
@@ -77,6 +68,9 @@ class SurfacePair(ContactPoints):
     first: bool
     depth: float
     self_depth: float
+    closed: Booleans
+    sharp: Booleans
+    unseen_corners: bool = False
     blending: float = 0.0
     exchange: GapExchange | None = None
     covered: Booleans = field(init=False)
@@ -126,7 +120,7 @@ class SurfacePair(ContactPoints):
         self._cut(position, cut_distance)
         depth = self.depth, self.self_depth
         given = self.facets, self.points, self.covered, depth, position, radius
-        self.closest = ClosestPoints(*given, blending=self.blending)
+        self.closest = ClosestPoints(*given, blending=self.blending, shared=self._shared_facets())
         self.near_points = self.closest.near
         if self.exchange is not None:
             self.exchange.detect(self.facets, position, penetration)
@@ -153,26 +147,12 @@ class SurfacePair(ContactPoints):
         """Kind (m,) of the body of each point."""
         return self.laws.kind[self.slave.body[self.points.facet]]
 
-    def penetrating_nodes(self, pairs: Pairs, position: Array, depth: float) -> PenetratingNodes:
-        """Nodes of the facets with points in contact or nearly so that lie inside the other body.
-
-        position (n, d): of the seen nodes, at which the points are projected; depth: see `SearchLimits`.
-        """
-        points, size = self.points, np.zeros(len(self.slave))
-        rows = self.projected_points
-        size[points.facet] = self.facet_size
-        facets = np.unique(points.facet[rows[self.projection.gap < CLOSE * self.facet_size[rows]]])
-        nodes = nodes_of(self.slave.kind, facets)
-        depths = self.depth, self.self_depth
-        closest = ClosestPoints(self.facets, nodes, np.ones(len(nodes.facet), bool), depths, position, max(depths))
-        limits = SearchLimits(FINAL_PROJECTION_TOLERANCE, True, 0.0, 0.0, 0.0, depth, 0.0)
-        found, _, projection, _ = closest.update(position, limits)
-        facet = nodes.facet[closest.near[found]]
-        pair, _ = self._pairs_of_facets(pairs, facet, closest.facet[found])
-        return PenetratingNodes(pair, -projection.gap, size[facet])
-
     def _cut(self, position: Array, distance: float) -> None:
         """Points stay where they are."""
+
+    def _shared_facets(self) -> Booleans:
+        """Slave facets (f,) whose points near an edge of the master several of its facets share."""
+        return np.ones(len(self.slave), bool)
 
     # --- History ---
 
@@ -320,17 +300,17 @@ class SurfacePair(ContactPoints):
 
         Of a body and itself the first is the one with the smaller geodesic distance.
         """
-        return self._pairs_of_facets(pairs, self.points.facet[self.projected_points], self.master_facet)
+        return self.pairs_of_facets(pairs, self.points.facet[self.projected_points], self.master_facet)
 
     def across_gaps(self, pairs: Pairs) -> tuple[Integers, Array, Array]:
         """Pairs (m,) of the points that exchange charges across gaps; forces (m, d) on the first, uN; fields, V/um."""
         if self.exchange is None:
             return np.zeros(0, np.int64), np.zeros_like(self.force[:0]), np.zeros(0)
-        number, first = self._pairs_of_facets(pairs, *self.exchange.facet_pairs())
+        number, first = self.pairs_of_facets(pairs, *self.exchange.facet_pairs())
         return number, np.where(first, 1.0, -1.0)[:, None] * self.exchange.force, self.exchange.field()
 
-    def _pairs_of_facets(self, pairs: Pairs, facet: Integers, master_facet: Integers) -> tuple[Integers, Booleans]:
-        """The same of slave and master facets (r,)."""
+    def pairs_of_facets(self, pairs: Pairs, facet: Integers, master_facet: Integers) -> tuple[Integers, Booleans]:
+        """Number of the pair of slave and master facets (r,), and whether the slave is the first of the two."""
         if pairs.named is not None:
             return np.full(len(facet), self.pair), np.full(len(facet), self.first)
         component = self.facets.master.component[master_facet]

@@ -19,7 +19,7 @@ class PairTotals:
 
     force (d,): on the first body, uN.
     area, bonded_area: where the gap is closed, and where adhesion has not broken, um2.
-    max_pressure (MPa), max_penetration (um, of points and of the slave's nodes), max_potential_jump (V, of points that
+    max_pressure (MPa), max_penetration (um, of points, nodes and edges), max_potential_jump (V, of points that
     touch or are bonded), max_field (V/um, in open gaps): 0 for none. facets_across: least number across a place that
     carries some of the load, 0 for none; not of sums.
     """
@@ -97,9 +97,9 @@ def totals_of_pairs(contact: Interfaces) -> dict[int, PairTotals]:
             of = number == pair
             across = replace(none, force=force[of].sum(axis=0), max_field=float(field[of].max()))
             mine[int(pair)] = mine.get(int(pair), none) + across
-    for nodes in contact.penetrating_nodes():
-        for pair in np.unique(nodes.pair):
-            deepest = float(nodes.depth[nodes.pair == pair].max())
+    for places in contact.penetrating_places():
+        for pair in np.unique(places.pair):
+            deepest = float(places.depth[places.pair == pair].max())
             mine[int(pair)] = mine.get(int(pair), none) + replace(none, max_penetration=deepest)
     everywhere: dict[int, PairTotals] = {}
     for part in contact.comm.allgather(mine):
@@ -130,7 +130,7 @@ def _totals_of_plane(contact: Interfaces, plane: RigidPlane) -> PlaneTotals:
     potential = 0.0 if plane.surface_potential is None else float((area * plane.surface_potential) @ closed)
     sums = parallel.total(contact.comm, np.array([*plane.force, plane.charge, area @ closed, potential]))
     pressure = -plane.response.traction * plane.points.weight[plane.near_points] / area
-    deepest = max(-plane.projection.gap.min(initial=0.0), plane.penetration_of_nodes(contact.state.position))
+    deepest = max(-plane.projection.gap.min(initial=0.0), plane.deepest_node(contact.state.position)[0])
     fields = [plane.field().max(initial=0.0), *(p.field for p in contact.plates if any(plane is of for of in p.planes))]
     largest = np.array([pressure.max(initial=0.0), deepest, max(fields)])
     largest = parallel.largest(contact.comm, largest)

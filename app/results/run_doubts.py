@@ -31,7 +31,7 @@ class RunDoubts:
         self.problem = problem
         model = problem.model
         self._touched: set[int] = set()
-        self._unseen: set[int] = set()
+        self._unseen: set[str] = set()
         self._across: dict[int, Across] = {}  # of each pair and plane, in the step in which it bears most
         bodies = len(model.bodies.bodies)
         self._most, self._unbalanced = np.zeros(bodies), np.zeros(bodies)

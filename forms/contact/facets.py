@@ -78,6 +78,13 @@ class FacetKind:
             return np.array([0.0, 0.0, 1.0]), np.vstack([rise, [[-1.0, -1.0]]])
         return np.repeat([0.0, 1.0], self.dim), np.vstack([rise, -rise])
 
+    @property
+    def corner_sides(self) -> Integers:
+        """Corners (s, 2) at the ends of the sides of a facet of a body in three dimensions; none of a line."""
+        if self.dim == 1:
+            return np.zeros((0, 2), np.int64)
+        return np.array([(0, 1), (1, 2), (0, 2)] if self.simplex else [(0, 1), (0, 2), (1, 3), (2, 3)])
+
     def overshoot(self, xi: Array) -> Array:
         """Distance (m,) of points xi (m, t) beyond the sides of the reference facet; negative inside."""
         upper = 1.0 - (xi.sum(axis=1, keepdims=True) if self.simplex else xi)
@@ -167,6 +174,12 @@ def triangle_rule(order: int) -> tuple[Array, Array]:
     a, b = 0.445948490915965, 0.091576213509771
     points = [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a], [b, b], [1 - 2 * b, b], [b, 1 - 2 * b]]
     return np.array(points), 0.5 * np.repeat([0.223381589678011, 0.109951743655322], 3)
+
+
+def closed_triangle_rule() -> tuple[Array, Array]:
+    """Points (7, 2) and weights (7,) of a rule with points at the corners: those of tri6 and the middle, degree 3."""
+    points = np.array([*_TRIANGLE, (1.0 / 3.0, 1.0 / 3.0)])
+    return points, np.array([3.0, 3.0, 3.0, 8.0, 8.0, 8.0, 27.0]) / 120.0
 
 
 @cache

@@ -11,8 +11,8 @@ from operator import add
 
 import numpy as np
 
-from piezomat.forms.arrays import Array, Integers
-from piezomat.forms.contact.facets import FacetKind
+from piezomat.forms.arrays import Array, Booleans, Integers
+from piezomat.forms.contact.facets import FacetKind, closed_triangle_rule
 from piezomat.forms.contact.gap import Projection, Variations, variations
 from piezomat.forms.contact.smoothing import to_corners
 
@@ -33,6 +33,14 @@ class SlavePoints:
     shape: Array
     weight: Array
     area: Array
+
+    def __getitem__(self, rows: Integers | Booleans) -> SlavePoints:
+        return SlavePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def followed_by(self, more: SlavePoints) -> SlavePoints:
+        """These points, then more."""
+        names = self.__dataclass_fields__
+        return SlavePoints(*(np.concatenate([getattr(self, name), getattr(more, name)]) for name in names))
 
 
 def _surface_metric(kind: FacetKind, xi: Array, nodes: Array) -> Array:
@@ -70,6 +78,33 @@ def nodal_points(kind: FacetKind, nodes: Array, multiplicity: Array | None = Non
         share[:, :3] = 0.0
         share *= area.sum(axis=1, keepdims=True) / share.sum(axis=1, keepdims=True)
     return _points(kind, kind.nodes, share, share if multiplicity is None else 1.0 / multiplicity)
+
+
+def closed_points(kind: FacetKind, nodes: Array) -> SlavePoints:
+    """Points of facets with undeformed nodes (facets, n, d), um, that have some at all corners.
+
+    They are the nodes, and of 6-node triangles the middle too.
+    """
+    if kind.name != "tri6":
+        return nodal_points(kind, nodes)
+    xi, weight = closed_triangle_rule()
+    area = _surface_metric(kind, xi, nodes) * weight
+    return _points(kind, xi, area, area)
+
+
+def with_closed_points(
+    points: SlavePoints, kind: FacetKind, nodes: Array, closed: Booleans
+) -> tuple[SlavePoints, Booleans]:
+    """The points of facets with undeformed nodes (facets, n, d), with `closed_points` on those that are `closed`.
+
+    They follow each other by facet. Also whether each of them is a new one.
+    """
+    facets = np.flatnonzero(closed)
+    more = closed_points(kind, nodes[facets])
+    kept = points[~closed[points.facet]]
+    every = kept.followed_by(replace(more, facet=facets[more.facet]))
+    order = np.argsort(every.facet, kind="stable")
+    return every[order], order >= len(kept.facet)
 
 
 def nodes_of(kind: FacetKind, facets: Integers) -> SlavePoints:

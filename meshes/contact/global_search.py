@@ -51,6 +51,15 @@ class PairingRule:
         return slave % self.parts == master % self.parts
 
 
+@dataclass(frozen=True)
+class ReversedRule(PairingRule):
+    """The rule of the same fields for the masters as slaves."""
+
+    def allows(self, slave: Integers, master: Integers) -> Booleans:
+        """Whether the points of these would be met as masters."""
+        return super().allows(master, slave)
+
+
 # Rule for two named surfaces: every slave facet may meet every master facet. They are encoded as part 0 of a fictitious
 # body 0 and part 1 of a fictitious body 1, so as components 0 and 3.
 ONE_TO_ONE = PairingRule(parts=2)

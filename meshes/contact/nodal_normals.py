@@ -55,19 +55,10 @@ def nodal_normals(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Arra
     numbers (f, n): global nodes; key (f,): of the facets; corner (f, n, d): their normals, see `corner_normals`
     """
     node = numbers.ravel()
-    mine = (node, np.repeat(key, numbers.shape[1]), corner.reshape(len(node), corner.shape[2]))
-    # Data at a node are collected on the rank given by its number and returned to all ranks that have the node.
-    at = node % comm.size
-    received = comm.alltoall([tuple(part[at == rank] for part in mine) for rank in range(comm.size)])
-    every = [np.concatenate(parts) for parts in zip(*received, strict=True)]
-    wanted = [np.isin(every[0], nodes) for nodes, _, _ in received]
-    returned = comm.alltoall([tuple(part[rows] for part in every) for rows in wanted])
-    there, keys, normals = (np.concatenate(parts) for parts in zip(*returned, strict=True))
-    order = np.lexsort((keys, there))
-    there, normals = there[order], normals[order]
-
+    there, normals = normals_at_nodes(comm, numbers, key, corner)
     first, last = np.searchsorted(there, node), np.searchsorted(there, node, side="right")
-    own = mine[2] / np.linalg.norm(mine[2], axis=1, keepdims=True)
+    own = corner.reshape(len(node), corner.shape[2])
+    own = own / np.linalg.norm(own, axis=1, keepdims=True)
     total, count = np.zeros_like(own), np.zeros(len(node), int)
     for k in range(int((last - first).max(initial=0))):
         row = np.minimum(first + k, len(there) - 1)
@@ -78,3 +69,22 @@ def nodal_normals(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Arra
         count += joins
     total /= np.linalg.norm(total, axis=1, keepdims=True)
     return total.reshape(corner.shape), (count == 1).reshape(numbers.shape)
+
+
+def normals_at_nodes(comm: MPI.Comm, numbers: Integers, key: Integers, corner: Array) -> tuple[Integers, Array]:
+    """Nodes (k,), ascending, of the facets of all ranks that meet at nodes of this rank, and their normals (k, d).
+
+    A node appears once for each of its facets, in the order of their keys. Arguments as `nodal_normals`; of each corner
+    there may be more numbers than the normal's. Collective.
+    """
+    node = numbers.ravel()
+    mine = (node, np.repeat(key, numbers.shape[1]), corner.reshape(len(node), corner.shape[2]))
+    # Data at a node are collected on the rank given by its number and returned to all ranks that have the node.
+    at = node % comm.size
+    received = comm.alltoall([tuple(part[at == rank] for part in mine) for rank in range(comm.size)])
+    every = [np.concatenate(parts) for parts in zip(*received, strict=True)]
+    wanted = [np.isin(every[0], nodes) for nodes, _, _ in received]
+    returned = comm.alltoall([tuple(part[rows] for part in every) for rows in wanted])
+    there, keys, normals = (np.concatenate(parts) for parts in zip(*returned, strict=True))
+    order = np.lexsort((keys, there))
+    return there[order], normals[order]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import gmsh
+import numpy as np
 import pytest
 from mpi4py import MPI
 
@@ -16,49 +18,80 @@ from tests.scenes import bar_on_edge, press
 DEPTH = 0.02
 
 
-def on_one_side(path: Path, **contact: Any) -> Scene:
-    """A square on its corner pressed into a block; of the square one side alone may meet it."""
+def pressed(path: Path, dimension: int, **contact: Any) -> Scene:
+    """Two square bars that cross edge on edge, pressed together; in 2D a square on its corner over a block."""
+    sideways = [0] * (dimension - 1)
     return press(
         {"file": str(path)},
         mesh={"cells": "tensor"},
         bodies={"*": "elastic"},
         boundaries=[
-            {"on": "bottom", "displacement": [0, 0]},
-            {"on": "top", "displacement": [0, -DEPTH], "follows": "press"},
+            {"on": "bottom", "displacement": [*sideways, 0]},
+            {"on": "top", "displacement": [*sideways, -DEPTH], "follows": "press"},
         ],
-        contact={"pairs": [["right", "face"]], **contact},
+        contact=contact,
         load={"steps": [2], "factors": {"press": [1.0]}},
     )
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("method", ["point", "segment"])
-def test_a_corner_that_no_point_sees(
-    method: str, comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("method", "cells"), [("point", 5), ("point", 6), ("node", 5)])
+def test_edges_that_no_point_sees(
+    method: str, cells: int, comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing presses, so the corner is as deep in the block as it was moved, and a warning names the pair once."""
-    path = shared_tmp_path / "square.msh"
+    """Nothing presses where edges cross, at a node or between, so they are as deep as moved; one warning names them."""
+    path = shared_tmp_path / "bars.msh"
     if comm.rank == 0:
-        bar_on_edge(path, 2, (4, 4))
+        bar_on_edge(path, 3, (2, cells))
     comm.barrier()
-    finished = run(on_one_side(path, method=method), comm)
+    finished = run(pressed(path, 3, method=method), comm)
     row = finished.history[-1]
-    # Segments are nearer to the corner than points, and some are in contact at the end.
-    depth = DEPTH - 1e-9 if method == "point" else row["max_penetration@right-face"]
-    assert row["max_penetration@right-face"] == pytest.approx(depth, rel=1e-6)
-    warnings = [line for line in capfd.readouterr().out.splitlines() if "no contact point presses" in line]
+    (pair,) = (name.partition("@")[2] for name in row if name.startswith("max_penetration"))
+    # The faces beside an edge are at 45 degrees to the motion.
+    assert row[f"max_penetration@{pair}"] == pytest.approx((DEPTH - 1e-9) / 2.0**0.5, rel=1e-6)
+    assert row[f"contact_force_z@{pair}"] == 0.0
     found = unseen_penetration(finished.problem.contact)
-    if method == "point":
-        assert row["contact_force_y@right-face"] == 0.0 and list(found) == [0]
-        assert '"right-face"' in found[0] and "0.08 of a facet" in found[0]
-        assert len(warnings) == (comm.rank == 0)
-    else:
-        assert row["max_penetration@right-face"] > 0.3 * DEPTH
+    assert list(found) == [pair] and "edges that cross lie up to 0.014 um" in found[pair]
+    warnings = [line for line in capfd.readouterr().out.splitlines() if "no contact point presses" in line]
+    assert len(warnings) == (comm.rank == 0)
 
 
-def test_nodes_that_press_are_no_doubt(tmp_path: Path) -> None:
-    """With points at the nodes all is seen."""
+def test_one_pass_that_leaves_a_corner_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The corner belongs to the master, which has no points: the run says so at the start and at its depth."""
     bar_on_edge(tmp_path / "square.msh", 2, (4, 4))
-    finished = run(on_one_side(tmp_path / "square.msh", method="node"), MPI.COMM_SELF)
-    assert finished.history[-1]["contact_force_y@right-face"] > 1.0
-    assert not unseen_penetration(finished.problem.contact)
+    for pair, said in ((["base", "tool"], True), (["tool", "base"], False)):
+        run(pressed(tmp_path / "square.msh", 2, passes=1, pairs=[pair]), MPI.COMM_SELF)
+        assert ("point to another one" in capfd.readouterr().out) == said
+
+
+def test_a_coarse_disc_on_a_plane(tmp_path: Path) -> None:
+    """The corner of an octagon is round: its points lie behind, and the run says how deep it is in the plane."""
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        geo, angles = gmsh.model.geo, np.radians(np.arange(8) * 45.0 - 90.0)
+        points = [geo.addPoint(0.5 * np.cos(a), 0.5 * np.sin(a), 0.0) for a in angles]
+        lines = [geo.addLine(points[i - 1], points[i]) for i in range(8)]
+        face = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        geo.synchronize()
+        for line in lines:
+            gmsh.model.mesh.setTransfiniteCurve(line, 2)
+        gmsh.model.addPhysicalGroup(2, [face], name="disc")
+        gmsh.model.addPhysicalGroup(1, lines[4:6], name="top")
+        gmsh.model.mesh.generate(2)
+        gmsh.write(str(tmp_path / "disc.msh"))
+    finally:
+        gmsh.finalize()
+    depth = 0.025
+    floor = {"name": "floor", "point": [0, -0.5], "normal": [0, 1], "motion": [0, depth], "follows": "press"}
+    scene = press(
+        {"file": str(tmp_path / "disc.msh")},
+        bodies={"disc": "elastic"},
+        boundaries=[{"on": "top", "displacement": [0, 0]}],
+        planes=[floor],
+        load={"steps": [1], "factors": {"press": [1.0]}},
+    )
+    finished = run(scene, MPI.COMM_SELF)
+    assert finished.history[-1]["max_penetration@floor"] == pytest.approx(depth, rel=1e-6)
+    (text,) = unseen_penetration(finished.problem.contact).values()
+    assert '"floor": nodes lie up to 0.025 um (0.065 of a facet)' in text
