@@ -24,7 +24,8 @@ def limit(sizes: Sequence[float], values: Sequence[float]) -> Estimate:
     """The limit of values (n,) on meshes of these sizes, the coarsest first.
 
     Richardson's extrapolation of the three finest where a + b h^p goes through them with p between 0.5 and 6. Else the
-    finest value, and as its uncertainty the spread of the three finest; infinite with fewer than two.
+    finest value. Its uncertainty is then the last change where p is larger, and the spread of the three finest where
+    they do not approach anything; infinite with fewer than two.
     """
     h, v = np.asarray(sizes, float)[-3:], np.asarray(values, float)[-3:]
     if len(v) < 2:
@@ -39,7 +40,9 @@ def limit(sizes: Sequence[float], values: Sequence[float]) -> Estimate:
     def mismatch(power: float) -> float:
         return (h[0] ** power - h[1] ** power) / (h[1] ** power - h[2] ** power) - first / last
 
-    if mismatch(SLOWEST) * mismatch(FASTEST) > 0.0:
+    if mismatch(FASTEST) < 0.0:  # falls faster still: the coarsest mesh shows nothing of the power
+        return Estimate(float(v[-1]), SAFETY * abs(float(last)), None)
+    if mismatch(SLOWEST) > 0.0:
         return Estimate(float(v[-1]), spread, None)
     power = float(brentq(mismatch, SLOWEST, FASTEST))
     change = last * h[2] ** power / (h[1] ** power - h[2] ** power)

@@ -36,7 +36,8 @@ STEPS = 4
 QUIET = {"output.picture": "false", "output.fields": "none"}
 # The fewest contact points, for studies whose results do not depend on how round the fibers are.
 CHEAP = {"contact.method": "node", "contact.smoothing": "false"}
-ALIKE = 60.0  # force on a fiber at which voltages are compared, uN (2D: uN/um)
+ALIKE = 60.0  # force on a fiber, or on all of them together, at which voltages are compared, uN (2D: uN/um)
+METER = 1e-3  # capacitance of an instrument, pC/(V um): 10 pF on fibers of 1 cm
 # Sizes of elements over the scene's: 100 fibers have a million unknowns, or a tenth of that.
 FINE, COARSE = 0.565, 1.6
 
@@ -109,7 +110,8 @@ STUDIES = {"growth": growth, "seeds": seeds, "ranks": ranks, "cooperativity": co
 # Columns after those of the label.
 COLUMNS = (
     "outcome ranks unknowns crossings smallest_gap thickness approach steps newton krylov cutbacks force voltage "
-    "voltage_alike stabilized processor_seconds seconds memory_mb reason"
+    "capacitance voltage_each capacitance_each voltage_total capacitance_total stabilized processor_seconds seconds "
+    "memory_mb reason"
 ).split()
 
 
@@ -145,18 +147,22 @@ def carry_out(run: Run, out: Path) -> dict[str, Any]:
     row["seconds"] = f"{summary['timings']['total']:.1f}"
     if steps:
         last, up = steps[-1], "y" if "force_z@lid" not in steps[-1] else "z"
-        row["force"], row["voltage"] = f"{-last[f'force_{up}@lid']:.9g}", f"{last['mean_potential@lid']:.9g}"
-        across = run.keys.get("geometry.columns", 1)
-        row["voltage_alike"] = alike(
-            [-step[f"force_{up}@lid"] / across for step in steps], [step["mean_potential@lid"] for step in steps]
-        )
+        forces = [-step[f"force_{up}@lid"] for step in steps]
+        row["force"] = f"{forces[-1]:.9g}"
+        if "voltage@lid" in last:
+            row |= {"voltage": f"{last['voltage@lid']:.9g}", "capacitance": f"{last['capacitance']:.9g}"}
+            across = run.keys.get("geometry.columns", 1)
+            voltages, capacitances = ([step[name] for step in steps] for name in ("voltage@lid", "capacitance"))
+            for what, total in (("each", ALIKE * across), ("total", ALIKE)):
+                row[f"voltage_{what}"] = at(total, forces, voltages, 0.0)
+                row[f"capacitance_{what}"] = at(total, forces, capacitances, capacitances[0])
         row["stabilized"] = f"{last['stabilization'] / (last['elastic'] + last['electric']):.2g}"
     return row
 
 
-def alike(forces: list[float], voltages: list[float]) -> str:
-    """The voltage at a force of ALIKE, interpolated between the steps; empty if it was not reached."""
-    return f"{np.interp(ALIKE, forces, voltages):.6g}" if forces[-1] >= ALIKE else ""
+def at(force: float, forces: list[float], values: list[float], start: float) -> str:
+    """A value at a force, interpolated between the steps from `start` on; empty if the force was not reached."""
+    return f"{np.interp(force, [0.0, *forces], [start, *values]):.6g}" if forces[-1] >= force else ""
 
 
 def bare() -> dict[str, str]:
@@ -214,30 +220,43 @@ def draw_growth(rows: list[dict[str, str]], path: Path) -> None:
 
 
 def draw_cooperativity(rows: list[dict[str, str]], path: Path) -> None:
-    """Voltage at the same force on each fiber over the number of touching fibers, over that of one that is alone."""
-    figure, axis = pyplot.subplots(figsize=(4.6, 3.4), layout="constrained")
-    alone = next(float(r["voltage_alike"]) for r in rows if r["arrangement"] == "row" and r["count"] == "1")
+    """Charge, capacitance and voltage of touching fibers over their number, over those of one that is alone."""
+    figure, axes = pyplot.subplots(1, 4, figsize=(11, 3.9), sharex=True, sharey=True)
+    alone = electric(next(r for r in rows if r["arrangement"] == "row" and r["count"] == "1"), "each")
+    titles = ("charge (short circuit)", "capacitance", "voltage (open)", "voltage with a meter")
     curves = (
-        ("row", "o-", "#0072B2"),
-        ("row between walls", "s--", "#E69F00"),
-        ("column between walls", "^-", "#000000"),
+        ("row", "each", "o-", "#0072B2", "row, same force on each"),
+        ("row", "total", "o--", "#0072B2", "row, same total force"),
+        ("column between walls", "each", "^-", "#000000", "column, same force"),
     )
-    for arrangement, mark, colour in curves:
-        chosen = [r for r in rows if r["arrangement"] == arrangement and r["voltage_alike"]]
-        count = np.array([int(r["count"]) for r in chosen])
-        axis.plot(
-            count, np.array([float(r["voltage_alike"]) for r in chosen]) / alone, mark, color=colour, label=arrangement
-        )
-    axis.set_xscale("log", base=2)
-    axis.set_yscale("log", base=2)
-    for ticks in (axis.xaxis, axis.yaxis):
+    for arrangement, what, style, colour, name in curves:
+        chosen = [r for r in rows if r["arrangement"] == arrangement and r[f"voltage_{what}"]]
+        count = [int(r["count"]) for r in chosen]
+        found = np.array([electric(r, what) for r in chosen]) / alone
+        for axis, values, title in zip(axes, found.T, titles, strict=True):
+            inside = "white" if "--" in style else colour
+            axis.plot(count, values, style, color=colour, label=name, markerfacecolor=inside)
+            axis.set_title(title, fontsize=10)
+            axis.set_xlabel("touching aligned fibers")
+            axis.grid(True, color="#e4e4e4", linewidth=0.6)
+    axes[0].set_xscale("log", base=2)
+    axes[0].set_yscale("log", base=2)
+    for ticks in (axes[0].xaxis, axes[0].yaxis):
         ticks.set_major_formatter("{x:g}")
-    axis.set_xlabel("touching aligned fibers")
-    axis.set_ylabel("voltage over that of one fiber")
-    axis.legend(fontsize=8)
-    axis.set_title(f"{ALIKE:g} uN on each um of a fiber", fontsize=9)
+    axes[0].set_ylabel("over that of one fiber")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncol=3, fontsize=9, frameon=False)
+    figure.suptitle(f"{ALIKE:g} uN on each um of a fiber; meter: 10 pF on fibers of 1 cm", fontsize=11)
+    figure.tight_layout(rect=(0.0, 0.07, 1.0, 1.0))
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
+
+
+def electric(row: dict[str, str], what: str) -> tuple[float, float, float, float]:
+    """Charge in a short circuit, capacitance, voltage, and voltage with a meter in parallel, at a force."""
+    voltage, capacitance = float(row[f"voltage_{what}"]), float(row[f"capacitance_{what}"])
+    charge = voltage * capacitance
+    return charge, capacitance, voltage, charge / (capacitance + METER)
 
 
 DRAWINGS = {"growth": draw_growth, "cooperativity": draw_cooperativity}

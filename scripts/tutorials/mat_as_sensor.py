@@ -6,7 +6,7 @@ A small array in 2D stands for the mat, so that this takes seconds. For a mat of
 `random_mat` with the same electrodes; everything below stays as it is.
 """
 
-# %% A floor that is ground, and a lid of metal: open for a voltage, at 0 V for a charge.
+# %% The scene has two electrodes: `ground` on the floor, and `lid`, which is open for a voltage, at 0 V for a charge.
 import json
 from pathlib import Path
 
@@ -19,27 +19,22 @@ mat = {
     "mesh.contact_size": 0.06,
     "load.steps": [4],
     "planes.1.motion": [0, -0.05],
-    "electrodes": [{"name": "ground", "on": ["floor"], "potential": 0}, {"name": "sensor", "on": ["lid"]}],
 }
-scene = pz.Scene.load("fiber_array")
-planes = [plane.model_dump(exclude_none=True) for plane in scene.planes]
-planes = [{key: value for key, value in plane.items() if key != "potential"} for plane in planes]
-scene = pz.Scene.load(scene, {"planes": planes, **mat})
+scene = pz.Scene.load("fiber_array", mat)
 
 # %% Open circuit: the voltage of the lid over the pressure on it.
 r = pz.run(scene, quiet=True, out="mat_open")
-volts, stress = r.column("voltage@sensor"), r.column("stress")  # V, MPa
+volts, stress = r.column("voltage@lid"), r.column("stress")  # V, MPa
 print("recipe:", {key: r.summary["recipe"][key] for key in ("fibers", "crossings", "porosity", "areal_density")})
 for v, p, strain in zip(volts, stress, r.column("strain"), strict=True):
     print(f"{-1e3 * p:8.1f} kPa  {v:8.3f} V  {v / (-1e3 * p):.3e} V/kPa  strain {strain:.4f}")
 capacitance = r.column("capacitance")[-1]
 
 # %% Short circuit: the charge over the force.
-closed = [{"name": "ground", "on": ["floor"], "potential": 0}, {"name": "sensor", "on": ["lid"], "potential": 0}]
-s = pz.run(scene, {"electrodes": closed}, quiet=True, out="mat_short")
-charge, force = s.column("charge@sensor")[-1], s.column("force_y@lid")[-1]
+s = pz.run(scene, {"electrodes.0.potential": 0}, quiet=True, out="mat_short")
+charge, force = s.column("charge@lid")[-1], s.column("force_y@lid")[-1]
 print(
-    f"charge {charge:.3e} {s.unit('charge@sensor')} for {force:.2f} {s.unit('force_y@lid')}:",
+    f"charge {charge:.3e} {s.unit('charge@lid')} for {force:.2f} {s.unit('force_y@lid')}:",
     f"{1e6 * charge / force:.1f} pC/N",
 )
 print(f"capacitance {capacitance:.3e} {r.unit('capacitance')}, modulus {stress[-1] / r.column('strain')[-1]:.0f} MPa")

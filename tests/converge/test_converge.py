@@ -33,6 +33,11 @@ def test_an_irregular_sequence_is_not_extrapolated(values: list[float]) -> None:
     assert found.uncertainty == pytest.approx(max(values) - min(values))
 
 
+def test_the_last_change_bounds_what_falls_faster_than_any_power() -> None:
+    found = limit([0.4, 0.2, 0.1], [5.052, 5.444, 5.448])
+    assert (found.value, found.power) == (5.448, None) and found.uncertainty == pytest.approx(1.25 * 0.004)
+
+
 def test_few_values_and_series_that_disagree() -> None:
     assert limit([0.1], [3.0]).uncertainty == float("inf")
     sure, other = limit([0.4, 0.2, 0.1], [5.16, 5.04, 5.01]), limit([0.4, 0.2, 0.1], [6.3, 6.2, 6.1])

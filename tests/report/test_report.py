@@ -79,7 +79,7 @@ def test_a_mat_has_strain_modulus_and_recipe(tmp_path: Path) -> None:
     tangent = (last["stress"] - first["stress"]) / (last["strain"] - first["strain"])
     assert numbers["tangent_modulus"]["value"] == pytest.approx(tangent)
     kilopascal = -1e3 * last["stress"]
-    assert numbers["sensitivity@lid"]["value"] == pytest.approx(last["mean_potential@lid"] / kilopascal)
+    assert numbers["sensitivity@lid"]["value"] == pytest.approx(last["voltage@lid"] / kilopascal)
     assert numbers["porosity"]["value"] == r.summary["recipe"]["porosity"]
     assert numbers["max_pressure"]["value"] == max(
         row[name] for row in r.history for name in row if name.startswith("max_pressure")

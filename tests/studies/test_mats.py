@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from piezomat.scene import Scene
-from scripts.studies.mats import CHEAP, PRESSED, QUIET, STUDIES, Run, alike, exponent, study, value
+from scripts.studies.mats import CHEAP, METER, PRESSED, QUIET, STUDIES, Run, at, electric, exponent, study, value
 
 
 def scene_of(run: Run) -> Scene:
@@ -44,8 +44,16 @@ def test_a_run_that_the_table_holds_is_not_repeated(tmp_path: Path) -> None:
     assert row["seed"] == "7" and row["outcome"] == "failed" and "more than 1 iterations" in row["reason"]
 
 
-def test_growth_and_voltage_at_the_same_force() -> None:
+def test_growth_and_values_at_the_same_force() -> None:
     x = np.array([10.0, 30.0, 100.0])
     assert exponent(x, 3.0 * x**1.2) == pytest.approx(1.2)
-    assert float(alike([0.0, 40.0, 80.0], [0.0, 10.0, 30.0])) == pytest.approx(20.0)
-    assert alike([0.0, 40.0], [0.0, 10.0]) == ""
+    assert float(at(60.0, [40.0, 80.0], [10.0, 30.0], 0.0)) == pytest.approx(20.0)
+    assert float(at(20.0, [40.0, 80.0], [10.0, 30.0], 6.0)) == pytest.approx(8.0)
+    assert at(60.0, [20.0, 40.0], [1.0, 10.0], 0.0) == ""
+
+
+def test_charges_of_fibers_side_by_side_add_up_in_a_meter() -> None:
+    row = {"voltage_each": "20", "capacitance_each": "1e-4"}
+    charge, capacitance, voltage, metered = electric(row, "each")
+    assert (charge, capacitance, voltage) == pytest.approx((2e-3, 1e-4, 20.0))
+    assert metered == pytest.approx(2e-3 / (1e-4 + METER))
