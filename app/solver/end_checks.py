@@ -6,7 +6,6 @@
 4. No penetration is deeper than half of what the search looked at: else search again, four times as deep.
 5. No point keeps a facet that it has left: else solve again, the projections up to date.
 6. No segment has moved off the facets that it was cut at: else cut anew.
-7. What surfaces face across open gaps is found where they are: else solve again with what they face now.
 """
 
 from __future__ import annotations
@@ -20,9 +19,6 @@ from piezomat.solver.outcome import NewtonReport, SolveError
 
 MAX_PROJECTION_REPAIRS = 3  # of one solve
 MAX_SEGMENT_REPAIRS = 4  # of one solve
-# Of one solve. With the partners of the start of a step the charge of half discs depends on the size of the step by
-# 1 %; with those of a residual of 1e-2, the potential of crossed fibers by 1e-3.
-MAX_PARTNER_REPAIRS = 3
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
 FLIPS = "a point flips between two facets: it is in equilibrium on neither (contact.smoothing joins flat ones)"
 
@@ -47,14 +43,13 @@ class EndChecks:
         self.convergence = convergence
         self.max_iterations = max_iterations
         self.search_radius = 0.0
-        self._projection_repairs = self._segment_repairs = self._partner_repairs = 0
+        self._projection_repairs = self._segment_repairs = 0
         self._residual = problem.state.duplicate()
 
     def start(self, search_radius: float) -> None:
         """Begin a solve whose contact search has looked this far (um)."""
         self.search_radius = search_radius
         self._projection_repairs, self._segment_repairs = MAX_PROJECTION_REPAIRS, MAX_SEGMENT_REPAIRS
-        self._partner_repairs = MAX_PARTNER_REPAIRS
 
     def repair(self, report: NewtonReport) -> bool:
         """Repair the first condition that does not hold; whether there was one, and the solve must go on.
@@ -68,7 +63,7 @@ class EndChecks:
             return True
         if not self._projection_repairs:
             raise SolveError(FLIPS)
-        return self._repair_partners()
+        return False
 
     def _repair_interior(self) -> bool:
         """Recover what reduced equations have left behind; go on where contact was more than they can hold."""
@@ -118,15 +113,6 @@ class EndChecks:
         self._segment_repairs -= 1
         self._search_again(self.search_radius)
         return True
-
-    def _repair_partners(self) -> bool:
-        """Find anew what faces what across open gaps; go on where the state is then out of balance."""
-        problem = self.problem
-        if problem.contact is None or not self._partner_repairs or not problem.contact.renew_partners(problem.state):
-            return False
-        self._partner_repairs -= 1
-        problem.residual(problem.state, self._residual)
-        return not self.convergence.is_balanced(self._residual)
 
     def _search_again(self, search_radius: float) -> None:
         problem, self.search_radius = self.problem, search_radius

@@ -7,7 +7,17 @@
                      length of the step                                          line_search
     end              conditions on the solution; repairs, after which it goes on end_checks
 
-SNES calls, in this order, the methods below: `_residual_at`, `_test_convergence`, `_tangent_at`, `_adapt_step`.
+One iteration, as SNES goes through it:
+
+    R = _residual_at(x)
+    end if _test_convergence(R)      near equilibrium contact is evaluated completely, far from it not
+    _tangent_at(x)                   K
+    solve K s = R
+    s = _adapt_step(x, s)            predicted, then shortened
+    x = x - s
+
+What contact leaves out far from equilibrium is its `EvaluationMode`, an argument of every evaluation. Whether x is all
+unknowns or those of the nodes of contact is known to `linear.equations` alone.
 """
 
 from __future__ import annotations
@@ -36,19 +46,14 @@ from piezomat.solver.outcome import NewtonReport, SolveError
 from piezomat.solver.start_value import StartValue
 from piezomat.solver.step_watch import StepWatch
 
-# Relative residual of the displacements below which electrostatic attraction acts on unconstrained bodies; above it, it
-# would throw them about.
-ATTRACTION = 1e-3
-# Relative residual below which the tangent is consistent. Further from equilibrium tractions and potential jumps are
-# wrong by much more than two of its parts are worth, which would make it indefinite for nothing: the geometric
-# stiffness, and the negative stiffness of the electric attraction.
-CONSISTENT = 1e-2
-# The same with unconstrained bodies: on some of them nothing but the attraction acts, a small part of all forces.
-CONSISTENT_UNCONSTRAINED = 1e-3
-# Relative residual below which surfaces are so near to where they end that what they face across open gaps is found
-# anew. With the partners of the start of a step the charge depended on the size of the step: by 1 % for half discs.
-# From 1e-2 on the end of the solve had to find them once more, which took crossed fibers another iteration.
-SETTLED = 1e-4
+# Relative residual below which contact is evaluated completely. Further from equilibrium tractions and jumps are wrong
+# by much more than what is left out is worth: of the tangent the geometric stiffness and the negative stiffness of the
+# electric attraction, which make it indefinite for nothing (kept once it was there, half discs at 1e7 MPa/um failed),
+# and, where bodies are loose, the attraction, which throws them about. That is then kept: it may raise the residual.
+NEAR_EQUILIBRIUM = 1e-2
+# Iterations of one solve, nearer than that, in which what surfaces face across open gaps is found anew. With what they
+# face where a step begins the charge of half discs depends on the size of the step by 1 %.
+MAX_RENEWALS = 4
 MAX_REFINEMENTS = 5  # of a linear problem
 MAX_REPAIRS = 12  # of one solve
 
@@ -81,6 +86,7 @@ class Newton:
         self._residual = problem.state.duplicate()
         self._report = NewtonReport()
         self._mode = COMPLETE  # in which contact is evaluated in the present iteration
+        self._renewals = 0  # of the present solve
         self._timed_linear_solve = ExitStack()
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._residual_at, self._residual)
@@ -129,10 +135,8 @@ class Newton:
         for part in (self.convergence, self.line_search, self.prediction):
             part.start()
         self.checks.start(search_radius)
-        # Unconstrained bodies are thrown about by potentials that are not yet those of bodies in equilibrium.
         attraction = settled or not (problem.model.has_unconstrained_bodies and problem.model.electric)
-        self._mode = EvaluationMode(attraction=attraction, consistent=settled)
-        self._partners_renewed = False
+        self._mode, self._renewals = EvaluationMode(attraction=attraction, consistent=settled), 0
         if problem.contact is not None:
             problem.contact.set_iteration(0)
         self.watch.count()
@@ -170,49 +174,45 @@ class Newton:
     @callback(instead=lambda *_: fenicsx.NOT_A_NUMBER)
     def _test_convergence(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """Converged, diverged (not a number, or contact beyond the search or the equations), or neither."""
-        contact, equations = self.problem.contact, self.linear.equations
+        contact, equations, residual = self.problem.contact, self.linear.equations, snes.getFunction()[0]
         if equations.is_exceeded or (contact is not None and contact.search_radius_exceeded):
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
-        residual = snes.getFunction()[0]
-        relative = self.convergence.relative_norms(self.problem.model.unknowns.norms(residual))
-        if (
-            contact is not None
-            and not self._mode.attraction
-            and relative[0] <= max(ATTRACTION, self.convergence.tolerance)
-        ):
-            self._mode = replace(self._mode, attraction=True)
+        relative = self.convergence.relative_residual(residual)
+        if relative <= max(NEAR_EQUILIBRIUM, self.convergence.tolerance) and self._complete(snes.getSolution()):
             equations.residual(snes.getSolution(), residual, self._mode)
-            relative = self.convergence.relative_norms(self.problem.model.unknowns.norms(residual))
-        if contact is not None and not self._partners_renewed and relative.max() <= SETTLED:
-            self._partners_renewed = True
-            if contact.renew_partners(snes.getSolution()):
-                equations.residual(snes.getSolution(), residual, self._mode)
-                relative = self.convergence.relative_norms(self.problem.model.unknowns.norms(residual))
-        largest = float(relative.max())
-        self._report.residuals.append(largest)
-        if not np.isfinite(largest):
+            relative = self.convergence.relative_residual(residual)
+        self._report.residuals.append(relative)
+        if not np.isfinite(relative):
             return fenicsx.NOT_A_NUMBER
-        if largest <= self.convergence.tolerance:
+        if relative <= self.convergence.tolerance:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
-        if self.watch.count(largest):
+        if self.watch.count(relative):
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_COUNT
         if iteration >= self.keys.max_iterations:
             return PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return PETSc.SNES.ConvergedReason.ITERATING
 
+    def _complete(self, x: PETSc.Vec) -> bool:
+        """Let the attraction act, and find anew what surfaces face at the state x; whether the residual changes."""
+        contact, before = self.problem.contact, self._mode
+        if contact is None:
+            return False
+        self._mode = replace(before, attraction=True)
+        self._renewals += 1
+        renewed = self._renewals <= MAX_RENEWALS and contact.renew_partners(x)
+        return renewed or not before.attraction
+
     @callback(instead=nothing)
     def _tangent_at(self, snes: PETSc.SNES, x: PETSc.Vec, operator: PETSc.Mat, matrix: PETSc.Mat) -> None:
-        problem, linear = self.problem, self.linear
-        weakly_held = problem.model.has_unconstrained_bodies and problem.terms.stabilization.factor == 1.0
-        limit = CONSISTENT_UNCONSTRAINED if weakly_held else CONSISTENT
-        self._mode = replace(self._mode, consistent=self._report.residuals[-1] < limit)
-        if problem.contact is not None:
-            problem.contact.set_iteration(snes.getIterationNumber())
+        contact, linear = self.problem.contact, self.linear
+        self._mode = replace(self._mode, consistent=self._report.residuals[-1] <= NEAR_EQUILIBRIUM)
+        if contact is not None:
+            contact.set_iteration(snes.getIterationNumber())
         linear.linearize(x, self._mode)
         linear.equations.reduce(x)
         if [m.handle for m in linear.operators] != [operator.handle, matrix.handle]:
             snes.setJacobian(self._tangent_at, *linear.operators)
-        self._timed_linear_solve.enter_context(problem.timer("linear_solve"))
+        self._timed_linear_solve.enter_context(self.problem.timer("linear_solve"))
 
     @callback(instead=nothing)
     def _adapt_step(self, x: PETSc.Vec, step: PETSc.Vec) -> None:
