@@ -18,17 +18,15 @@ from piezomat.meshes.contact.global_search import CandidatePairs
 from piezomat.meshes.contact.local_search import closest_facets
 from piezomat.meshes.contact.self_contact import Candidates
 
-# A point keeps its master facet until its projection has left it by a share of the facet, the projection tolerance.
-# It grows with the Newton iteration, because a point that flips between two facets makes Newton's method cycle.
-PROJECTION_TOLERANCES = ((0, 0.02), (5, 0.1), (10, 0.5))
-FINAL_PROJECTION_TOLERANCE = 0.1  # at the end of a solve
+# A point keeps its master facet until its projection has left it by this share of the facet.
+PROJECTION_TOLERANCE = 0.02
+LARGEST_OVERSHOOT = 0.1  # the same, at most, of a point without contact that was outside its facet when found
 
 
 @dataclass(frozen=True)
 class SearchLimits:
     """How long points keep their master facets and how far new ones are searched for; lengths in um.
 
-    projection_tolerance: share of a facet by which a projection may leave it
     everywhere: whether points without a closest point are searched for too
     detection_range: a facet may come as near as this before all points are searched for again
     candidate_range: largest gap of a closest point
@@ -37,7 +35,6 @@ class SearchLimits:
     approach: how much nearer to each other two points may have come since the last search everywhere
     """
 
-    projection_tolerance: float
     everywhere: bool
     detection_range: float
     candidate_range: float
@@ -131,9 +128,9 @@ class ClosestPoints:
             projection = self._project(position, points[have], have)
             self.xi[have] = projection.xi
             # Outside a convex edge the nearest facet is one that the point is beyond already: it leaves from there.
-            outside = np.minimum(self.overshoot[have] + PROJECTION_TOLERANCES[0][1], FINAL_PROJECTION_TOLERANCE)
+            allowed = np.minimum(np.maximum(self.overshoot[have], 0.0) + PROJECTION_TOLERANCE, LARGEST_OVERSHOOT)
             beyond = kind.overshoot(projection.xi)
-            leaves = beyond > np.maximum(limits.projection_tolerance, outside)
+            leaves = beyond > allowed
             left = have[leaves]
             # A point that gets behind the end of its facet may be beside the body: the search knows.
             entering = have[self.apart[have] & (projection.gap < 0.0) & (beyond > -TIE) & ~leaves]

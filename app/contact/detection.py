@@ -155,14 +155,6 @@ class Detection:
         """Let `candidate_nodes` find what is as far as this from touching, um."""
         self._search.set_candidate_distance(distance)
 
-    def set_iteration(self, iteration: int) -> None:
-        """Set the projection tolerance of a solve's Newton iteration: it grows, against cycling between facets."""
-        self._search.set_iteration(iteration)
-
-    def tighten_projection_tolerance(self) -> bool:
-        """Lower the projection tolerance to that of the end of a solve; whether it was larger."""
-        return self._search.tighten()
-
     def has_stale_segments(self) -> bool:
         """Whether segments no longer begin and end at the edges of master facets, at the last evaluation."""
         if not self.segmented_pairs:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, ClosestPoints, SearchLimits
+from piezomat.contact.closest_points import ClosestPoints, SearchLimits
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array, Booleans, Integers
@@ -47,7 +47,7 @@ class PenetratingPlaces:
         places = nodes.followed_by(crossings)
         depths = p.depth, p.self_depth
         closest = ClosestPoints(p.facets, places, np.ones(len(places.facet), bool), depths, position, max(depths))
-        limits = SearchLimits(FINAL_PROJECTION_TOLERANCE, True, 0.0, 0.0, 0.0, depth, 0.0)
+        limits = SearchLimits(True, 0.0, 0.0, 0.0, depth, 0.0)
         found, _, projection, _ = closest.update(position, limits)
         at = closest.near[found]
         facet = places.facet[at]

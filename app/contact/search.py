@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
-from piezomat.contact.closest_points import FINAL_PROJECTION_TOLERANCE, PROJECTION_TOLERANCES, SearchLimits
+from piezomat.contact.closest_points import SearchLimits
 from piezomat.contact.detected_facets import LARGEST_SHAPE
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array
@@ -41,7 +41,6 @@ class ContactSearch:
         self.candidate_distance = 0.0
         self.radius, self.radius_exceeded = 0.0, False
         self._bodies = bodies
-        self._projection_tolerance = PROJECTION_TOLERANCES[0][1]
 
     def set_candidate_distance(self, distance: float) -> None:
         """Let the local search find what a solver needs, up to this gap, um."""
@@ -53,18 +52,6 @@ class ContactSearch:
         self.detected_at = self._searched_at = displacement.copy()
         self._searched = False
         self._projected_at: Array | None = None
-        self._projection_tolerance = PROJECTION_TOLERANCES[0][1]
-
-    def set_iteration(self, iteration: int) -> None:
-        """Let points keep their master facets by the tolerance of this Newton iteration of a solve."""
-        self._projection_tolerance = max(share for start, share in PROJECTION_TOLERANCES if iteration >= start)
-
-    def tighten(self) -> bool:
-        """Lower the projection tolerance to that of the end of a solve; whether it was larger."""
-        larger = self._projection_tolerance > FINAL_PROJECTION_TOLERANCE
-        self._projection_tolerance = min(self._projection_tolerance, FINAL_PROJECTION_TOLERANCE)
-        self._projected_at = None
-        return larger
 
     def limits(self, displacement: Array, *, search: bool, depth: float) -> SearchLimits:
         """Limits of the next `update`, with the seen nodes displaced by (n, d). Collective.
@@ -82,7 +69,6 @@ class ContactSearch:
         detection = self.interaction_range + approach * DRIFT * self.mean_facet_size
         candidates = max(detection + MARGIN * self.mean_facet_size, self.candidate_distance)
         return SearchLimits(
-            self._projection_tolerance,
             everywhere,
             detection,
             candidates,

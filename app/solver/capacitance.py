@@ -60,8 +60,6 @@ class Capacitance:
 
     def _matrix(self) -> Array:
         problem, given = self.problem, self._given
-        if problem.contact is not None:
-            problem.contact.set_iteration(0)
         self.linear.linearize(problem.state)
         if not self._responses:
             self._responses = [problem.model.new_vector() for _ in self._solved]

@@ -4,8 +4,7 @@
 2. No surface has moved further than the contact search allows: else search again, twice as far.
 3. Newton's method has converged: else SolveError.
 4. No penetration is deeper than half of what the search looked at: else search again, four times as deep.
-5. No point keeps a facet that it has left: else solve again, the projections up to date.
-6. No segment has moved off the facets that it was cut at: else cut anew.
+5. No segment has moved off the facets that it was cut at: else cut anew.
 """
 
 from __future__ import annotations
@@ -17,10 +16,8 @@ from piezomat.solver.convergence import Convergence, require_convergence
 from piezomat.solver.linear import LinearSolver
 from piezomat.solver.outcome import NewtonReport, SolveError
 
-MAX_PROJECTION_REPAIRS = 3  # of one solve
 MAX_SEGMENT_REPAIRS = 4  # of one solve
 FLOWN = 4.0  # a part that moves by more than this times the largest part's size has flown away
-FLIPS = "a point flips between two facets: it is in equilibrium on neither (contact.smoothing joins flat ones)"
 
 
 class EndChecks:
@@ -43,13 +40,13 @@ class EndChecks:
         self.convergence = convergence
         self.max_iterations = max_iterations
         self.search_radius = 0.0
-        self._projection_repairs = self._segment_repairs = 0
+        self._segment_repairs = 0
         self._residual = problem.state.duplicate()
 
     def start(self, search_radius: float) -> None:
         """Begin a solve whose contact search has looked this far (um)."""
         self.search_radius = search_radius
-        self._projection_repairs, self._segment_repairs = MAX_PROJECTION_REPAIRS, MAX_SEGMENT_REPAIRS
+        self._segment_repairs = MAX_SEGMENT_REPAIRS
 
     def repair(self, report: NewtonReport) -> bool:
         """Repair the first condition that does not hold; whether there was one, and the solve must go on.
@@ -59,11 +56,7 @@ class EndChecks:
         if self._repair_interior() or self._repair_search_radius():
             return True
         require_convergence(self.snes, report.residuals, self.max_iterations, self.linear.failure)
-        if self._repair_penetration() or self._repair_projections() or self._repair_segments():
-            return True
-        if not self._projection_repairs:
-            raise SolveError(FLIPS)
-        return False
+        return self._repair_penetration() or self._repair_segments()
 
     def _repair_interior(self) -> bool:
         """Recover what reduced equations have left behind; go on where contact was more than they can hold."""
@@ -91,19 +84,6 @@ class EndChecks:
         if penetration <= 0.5 * self.search_radius:
             return False
         self._search_again(4.0 * penetration)
-        return True
-
-    def _repair_projections(self) -> bool:
-        """Let points leave facets that they are no longer on; go on where the state is then out of balance."""
-        problem = self.problem
-        if problem.contact is None or not self._projection_repairs:
-            return False
-        if not problem.contact.tighten_projection_tolerance():
-            return False
-        problem.residual(problem.state, self._residual)
-        if self.convergence.is_balanced(self._residual):
-            return False
-        self._projection_repairs -= 1
         return True
 
     def _repair_segments(self) -> bool:

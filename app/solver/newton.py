@@ -137,8 +137,6 @@ class Newton:
         self.checks.start(search_radius)
         attraction = settled or not (problem.model.has_unconstrained_bodies and problem.model.electric)
         self._mode, self._renewals = EvaluationMode(attraction=attraction, consistent=settled), 0
-        if problem.contact is not None:
-            problem.contact.set_iteration(0)
         self.watch.count()
         self.watch.end_step()
         with self._options.blamed():
@@ -204,10 +202,8 @@ class Newton:
 
     @callback(instead=nothing)
     def _tangent_at(self, snes: PETSc.SNES, x: PETSc.Vec, operator: PETSc.Mat, matrix: PETSc.Mat) -> None:
-        contact, linear = self.problem.contact, self.linear
+        linear = self.linear
         self._mode = replace(self._mode, consistent=self._report.residuals[-1] <= NEAR_EQUILIBRIUM)
-        if contact is not None:
-            contact.set_iteration(snes.getIterationNumber())
         linear.linearize(x, self._mode)
         linear.equations.reduce(x)
         if [m.handle for m in linear.operators] != [operator.handle, matrix.handle]:

@@ -178,12 +178,6 @@ OFF = [
         "charges do not depend on the size of the step",
         ALL_BUT_MATS,
     ),
-    (
-        "contact.closest_points",
-        {"PROJECTION_TOLERANCES": ((0, 0.02),)},
-        "points keep no facet",
-        "points do not flip between two facets",
-    ),
     (SPRINGS, {"MANY_BODIES": 10**9}, "springs weak at first", "no try that fails where bodies are many", LOOSE),
     (SPRINGS, {"MANY_BODIES": 1}, "springs stiff at first", "weak springs take less energy", LOOSE),
     ("solver.load_steps", {"SNAP_CUTBACKS": 99}, "no snap-through", "bonds that break at once", ADHESIVE),
@@ -205,7 +199,10 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
     (
         "contact.closest_points",
         FEW,
-        {"FINAL_PROJECTION_TOLERANCE": "how far from its facet a point may be at the end"},
+        {
+            "PROJECTION_TOLERANCE": "points keep their facet at its edge",
+            "LARGEST_OVERSHOOT": "and outside a convex one",
+        },
     ),
     ("contact.contact_points", FEW, {"NEAR": "room in the tangent for points that may soon touch"}),
     (

@@ -49,7 +49,6 @@ REASONS = {
     "nothing holds": "H: nothing holds a body",
     "singular": "S: singular",
     "kept moving": "P: the pairing does not settle",
-    "point flips": "E: a point flips at the edge of two facets",
 }
 OTHER = "O: other, see the table"
 

@@ -8,7 +8,6 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
-from piezomat.contact.interfaces import Interfaces
 from piezomat.solver.condensation import Condensation
 from piezomat.solver.line_search import LineSearch
 from piezomat.solver.load_steps import Stepper, steps
@@ -20,7 +19,7 @@ from tests.scenes import pressed
 # Method that fails, at which of its calls, counted from 1; whether it is one of PETSc's Newton method, or of its KSP.
 CALLS: dict[str, tuple[type, str, int, bool]] = {
     "residual": (LineSearch, "residual", 2, True),
-    "tangent": (Interfaces, "set_iteration", 2, True),
+    "tangent": (Condensation, "start", 2, True),
     "convergence": (StepWatch, "count", 2, True),
     "step": (LineSearch, "search", 1, True),
     "condensed solve": (Condensation, "solve", 1, False),

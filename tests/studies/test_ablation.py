@@ -16,11 +16,11 @@ PACKAGES = ("contact", "assembly", "solver")
 # Constants that tune nothing: the answer and the effort are the same with any reasonable value.
 NOT_TUNED = {
     "bounds that end what would go on for ever": (
-        "MAX_ITERATIONS MAX_PARTS MAX_PREDICTIONS MAX_POOR_STEPS MAX_REFINEMENTS MAX_REPAIRS MAX_PROJECTION_REPAIRS "
+        "MAX_ITERATIONS MAX_PARTS MAX_PREDICTIONS MAX_POOR_STEPS MAX_REFINEMENTS MAX_REPAIRS "
         "MAX_RENEWALS MAX_SEGMENT_REPAIRS AUGMENTATIONS MAX_HALVINGS LONGEST_SEARCH SHORTEST_STEP LARGEST_CHANGE "
         "LEVELS WAIT FLOWN SMALLEST_REDUCTION LARGEST_REDUCTION MAX_RELEASES POWER_ITERATIONS"
     ),
-    "rounding": "ROUNDING SAME_DIRECTION BALANCED EQUAL DEPENDENT FAR_GAP TINY",
+    "rounding": "ROUNDING SAME_DIRECTION BALANCED EQUAL DEPENDENT FAR_GAP TINY COVERED PARALLEL",
     "accuracy of what is reported, not of the solution": "TOLERANCE ACCURACY CLOSE_TOLERANCE SNAPPED",
     "limits of memory and of what is listed": "CHUNK LISTED_BODIES",
     "words of a warning or of a reason": "FAR WANDERING DEEP DEEPER PULLED_IN CLOSE LEAST LEAST_SHARE FLAT",
@@ -71,7 +71,7 @@ def test_each_switch_changes_a_constant_for_a_while(switch: Switch) -> None:
 
 def test_a_switch_reaches_the_modules_that_import_a_constant() -> None:
     switch = next(s for s in switches() if "AHEAD" in s.values)
-    importers = [importlib.import_module(f"piezomat.contact.{name}") for name in ("gap_exchange", "interfaces")]
+    importers = [importlib.import_module(f"piezomat.contact.{name}") for name in ("gap_exchange", "detection")]
     with switch.applied():
         assert {module.AHEAD for module in importers} == set(switch.values.values())
 
