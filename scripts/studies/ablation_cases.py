@@ -220,6 +220,7 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
         FEW,
         {"DRIFT": "motion after which points are searched for", "MARGIN": "how long closest points are kept"},
     ),
+    ("contact.detection", FEW, {"STAYS": "motion after which what surfaces face is found anew"}),
     ("contact.setup", FEW, {"NEAR": "facets that are spread over the ranks"}),
     ("contact.shared_points", FEW, {"REACH": "facets that may share a point at their edge"}),
     ("contact.segmented_pair", ("discs, segment",), {"CUT_DRIFT": "motion after which segments are cut anew"}),
