@@ -221,7 +221,11 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
         {"DRIFT": "motion after which points are searched for", "MARGIN": "how long closest points are kept"},
     ),
     ("contact.detection", FEW, {"STAYS": "motion after which what surfaces face is found anew"}),
-    ("contact.setup", FEW, {"NEAR": "facets that are spread over the ranks"}),
+    (
+        "contact.setup",
+        FEW,
+        {"NEAR": "facets that are spread over the ranks", "NARROW": "width of blending where it cycles"},
+    ),
     ("contact.shared_points", FEW, {"REACH": "facets that may share a point at their edge"}),
     ("contact.segmented_pair", ("discs, segment",), {"CUT_DRIFT": "motion after which segments are cut anew"}),
     (
@@ -271,6 +275,7 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
             "LARGEST_ENERGY_SHARE": "and the energy that they may take",
             "INITIAL_FACTOR": "springs at first where a load acts",
             "RELEASED": "springs are let go under planes by force",
+            "HELD": "share that springs carry, from which weak ones are tried at once",
         },
     ),
     (
