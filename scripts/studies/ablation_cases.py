@@ -57,6 +57,7 @@ def _array(voltage: float | None = None) -> Scene:
     """Four fibers of an array, a voltage between floor and lid."""
     scene = _shipped("fiber_array", *_ARRAY, "load.steps=[2]").model_dump(exclude_unset=True)
     if voltage is not None:
+        scene["electrodes"] = [e for e in scene["electrodes"] if e["name"] != "lid"]
         next(plane for plane in scene["planes"] if plane["name"] == "lid")["potential"] = voltage
     return Scene(**scene)
 
