@@ -146,7 +146,7 @@ def draw_curves(
     other = ax
     if electric is not None:
         name, text, unit = electric
-        kind = "voltage" if unit == "V" else "charge"
+        kind = {"voltage": "voltage", "mean_potential": "potential", "charge": "charge"}[name.partition("@")[0]]
         voltages = run.column(name)
         if unit == "V":  # the unit of the bodies' potential, so that there is one throughout
             scale = voltages if run.bodies is None or run.bodies.potential is None else run.bodies.potential
@@ -157,7 +157,7 @@ def draw_curves(
         # one step: beside the other mark, not on it
         aside = 0.2 if len(places) == 1 and forces else 0.0
         lines += _curve(other, places + aside, factor * voltages, text, unit, VOLTAGE_COLOUR, "-s")
-        _colour_axis(other, f"{'potential' if kind == 'voltage' else kind} ({unit})", VOLTAGE_COLOUR)
+        _colour_axis(other, f"{kind} ({unit})", VOLTAGE_COLOUR)
     words = ["force"] * bool(forces) + [kind] * bool(kind)
     ax.set_xlabel(label, **LABEL)
     if column == "step":

@@ -102,11 +102,11 @@ def draw(run: RunData, choice: Choice | None = None) -> Figure:
     if not panels:
         raise ResultsError(f"the results of '{run.title}' have nothing to show: no fields, force or voltage")
     panels = _chosen(panels, choice.panels)
-    rows, size = _layout(list(panels), bodies)
+    rows, heights, size = _layout(list(panels), bodies)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12, wspace=0.03, hspace=0.03)
-    grid = figure.add_gridspec(len(rows), 2, height_ratios=[1.2, 1.0][: len(rows)])
+    grid = figure.add_gridspec(len(rows), 2, height_ratios=heights)
     axes = {}
     for place, names in enumerate(rows):
         for column, name in enumerate(names):
@@ -139,17 +139,25 @@ def _chosen(panels: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {name: panels[name] for name in names} if names else panels
 
 
-def _layout(panels: list[str], bodies: Bodies | None) -> tuple[list[list[str]], tuple[float, float]]:
-    """Panels of each row, two or one that takes its width, and the size of the figure in inches."""
+def _layout(panels: list[str], bodies: Bodies | None) -> tuple[list[list[str]], list[float], tuple[float, float]]:
+    """Panels of each row, two or one that takes its width; the rows' heights, and the size of the figure, in inches."""
     extent = np.sort(np.ptp(bodies.points, axis=0))[-2:] if bodies else np.ones(2)
-    long = bodies is not None and bodies.flat and extent[1] > 2.5 * extent[0]
+    long = _is_flat(bodies) and extent[1] > 2.5 * extent[0]
     if len(panels) == 4:
-        return [panels[:2], panels[2:]], (13.0, 10.8)
+        return [panels[:2], panels[2:]], [5.9, 4.9], (13.0, 10.8)
     if len(panels) == 3:
-        return ([panels[:1], panels[1:]] if long else [panels[:2], panels[2:]]), (13.0, 10.8)
+        if long:
+            return [panels[:1], panels[1:]], [5.9, 4.9], (13.0, 10.8)
+        # Bodies in 2D fill a panel of some 4.3 inches with their width; title and legend take another 1.4.
+        height = min(5.9, 4.3 * np.divide(*np.ptp(bodies.points, axis=0)[1::-1]) + 1.4) if _is_flat(bodies) else 5.9
+        return [panels[:2], panels[2:]], [height, 4.9], (13.0, height + 4.9)
     if len(panels) == 2:
-        return ([panels[:1], panels[1:]], (11.0, 8.5)) if long else ([panels], (13.0, 5.8))
-    return [panels], (8.0, 4.0) if long else (6.2, 5.2)
+        return ([panels[:1], panels[1:]], [4.6, 3.9], (11.0, 8.5)) if long else ([panels], [5.8], (13.0, 5.8))
+    return [panels], [5.2], (8.0, 4.0) if long else (6.2, 5.2)
+
+
+def _is_flat(bodies: Bodies | None) -> bool:
+    return bodies is not None and bodies.flat
 
 
 def _zone(bodies: Bodies, contact: ContactData) -> Zone | None:

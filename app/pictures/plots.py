@@ -140,10 +140,10 @@ def head(ax: Any, title: str, handles: list[Any], labels: list[str]) -> None:
     """Title, and between it and the panel, where it covers nothing, the legend."""
     lines = 0
     for columns in (4, 3, 2, 1):
-        # a legend is filled column by column; about 80 letters, 7 of them for a mark, are as wide as a panel
+        # a legend is filled column by column; about 70 letters, 7 of them for a mark, are as wide as a panel
         lines = -(-len(labels) // columns)
         widths = [max(map(len, labels[i : i + lines])) + 7 for i in range(0, len(labels), max(lines, 1))]
-        if sum(widths) <= 80:
+        if sum(widths) <= 70:
             break
     ax.set_title(title, **TITLE, pad=8 + 15 * lines)
     if labels:
