@@ -19,6 +19,7 @@ from piezomat import __version__, environment
 from piezomat.assembly.problem import Problem
 from piezomat.assembly.terms import NewTerm, Terms
 from piezomat.contact.cohesive_zone import coarse_cohesive_zone
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.setup import interfaces_of
 from piezomat.contact.short_circuit import short_circuit
 from piezomat.contact.start_checks import check_start
@@ -61,13 +62,17 @@ class Interrupted(RuntimeError):
     """A signal has ended the run; the message says what is kept. Raised on all ranks."""
 
 
+# Called with the problem, its interfaces (None without any) and the row of each step that has converged.
+Watch = Callable[[Problem, Interfaces | None, Mapping[str, Any]], object]
+
+
 @dataclass(repr=False)
 class Run:
     """A finished run.
 
     history: a row for each load step, by column. capacitance: matrix of the electrodes at the end of each step, pC/V
-    (2D: per um of depth). summary: see `piezomat.results.summary`. model, problem: with the last state. bodies: the
-    mesh.
+    (2D: per um of depth). summary: see `piezomat.results.summary`. model, problem: with the last state. contact: its
+    interfaces, evaluated there; None without any. bodies: the mesh.
     """
 
     history: list[dict[str, Any]]
@@ -75,6 +80,7 @@ class Run:
     summary: dict[str, Any]
     model: Model
     problem: Problem
+    contact: Interfaces | None
     bodies: BodyMesh
 
     @property
@@ -91,14 +97,14 @@ def run(
     resume: bool = False,
     partition: Partition | None = None,
     quiet: bool = False,
-    watch: Callable[[Problem, Mapping[str, Any]], object] | None = None,
+    watch: Watch | None = None,
     terms: Sequence[NewTerm] = (),
 ) -> Run:
     """History and last state of a scene; with `out`, its results are written there. Collective.
 
     resume: continue from the checkpoint in `out`, on any number of ranks. partition: which rank gets which cell (for
-    tests). quiet: nothing is printed. watch: called with each step that has converged, and its row. terms: what makes
-    terms of the problem beside its own, from its model.
+    tests). quiet: nothing is printed. watch: see `Watch`. terms: what makes terms of the problem beside its own, from
+    its model.
 
     SceneError: the scene is wrong, `out` is not free for the run or another run is at work there, or `resume` finds
     another scene; raised before any work. CheckpointError: there is no sound checkpoint. NotConverged, Interrupted,
@@ -119,13 +125,13 @@ def run(
         with timer("assembly"):
             every = Terms.of(model, contact, terms)
         problem = Problem(model, every, timer)
-        newton = Newton(problem, scene.solver, StepWatch(stop.requested))
+        newton = Newton(problem, every, scene.solver, StepWatch(stop.requested))
         augment_tolerance = scene.contact.augment if scene.contact is not None else None
-        stepper = Stepper(problem, newton, scene.solver.max_cutbacks, augment_tolerance)
-        balance = EnergyBalance(problem)
+        stepper = Stepper(problem, every, newton, scene.solver.max_cutbacks, augment_tolerance)
+        balance = EnergyBalance(problem, every)
         if not resume:
             check_start(model, contact, problem.state)
-        session = _Session(scene, comm, out, timer, model, problem, stepper, balance, quiet, watch)
+        session = _Session(scene, comm, out, timer, model, problem, every, stepper, balance, quiet, watch)
         try:
             if stored is not None:
                 session.resume(stored, owned)
@@ -138,7 +144,7 @@ def run(
             session.close()
             newton.close()
             problem.close()
-    return Run(session.history, session.capacitance, session.summary, model, problem, bodies)
+    return Run(session.history, session.capacitance, session.summary, model, problem, contact, bodies)
 
 
 @dataclass
@@ -156,16 +162,17 @@ class _Session:
     timer: Timer
     model: Model
     problem: Problem
+    terms: Terms
     stepper: Stepper
     balance: EnergyBalance
     quiet: bool
-    watch: Callable[[Problem, Mapping[str, Any]], object] | None
+    watch: Watch | None
 
     def __post_init__(self) -> None:
         self.summary: dict[str, Any] = {}
         self.history: list[dict[str, Any]] = []
         self.capacitance: list[list[list[float]]] = []
-        self._doubts = RunDoubts(self.problem)
+        self._doubts = RunDoubts(self.problem, self.terms.contact)
         self.results = Results(self.out, self.comm) if self.out is not None else None
         self.last_step = 0
         self._scene_text = text_of(self.scene)
@@ -175,7 +182,7 @@ class _Session:
 
     def start(self, saved: Path | None, folder: RunFolder | None) -> None:
         """Start the result files; `saved` is the mesh in the folder under a temporary name."""
-        names = columns(self.problem)
+        names = columns(self.model, self.terms.contact)
         if self.results is None or folder is None:
             return
         with self.timer("output"):
@@ -188,7 +195,7 @@ class _Session:
 
     def resume(self, stored: Checkpoint, folder: RunFolder) -> None:
         """Take up an interrupted run where its checkpoint ends, and its result files."""
-        names = columns(self.problem)
+        names = columns(self.model, self.terms.contact)
         with self.timer("output"):
             restart.restore(stored, self.problem, self.stepper, self.balance)
             self.last_step = self._saved_step = stored.step
@@ -225,8 +232,8 @@ class _Session:
                 log.info("%s", self.scene.outcome)
             for note in environment.notes():
                 log.warning("%s", note)
-            log.info("%s", describe(self.model, self.problem, self.stepper.newton.linear))
-            contact = self.problem.contact
+            log.info("%s", describe(self.problem, self.terms.contact, self.stepper.newton.linear))
+            contact = self.terms.contact
             for text in [*self.model.warnings, coarse_cohesive_zone(self.model, contact), unseen_corners(contact)]:
                 if text is not None:
                     progress.warn(text)
@@ -278,20 +285,20 @@ class _Session:
 
     def _check_electrodes(self, step: Step) -> None:
         """Raise SolveError if electrodes at different potentials have come into contact."""
-        contact = self.problem.contact
+        contact = self.terms.contact
         found = short_circuit(self.model, contact, step.after) if contact is not None else None
         if found is not None:
             raise SolveError(f"in step {step.number} {found}")
 
     def _record(self, step: Step, report: StepReport, seconds: float) -> None:
         capacitance = cache(self.stepper.newton.capacitance)
-        self.history.append(row(self.problem, self.balance, step, report, seconds, capacitance))
+        self.history.append(row(self.problem, self.terms, self.balance, step, report, seconds, capacitance))
         if (matrix := capacitance()) is not None:
             self.capacitance.append(matrix.tolist())
         self.last_step = step.number
         self._last_state = self.problem.copy_state()  # a later step may fail after some of its parts have converged
         if self.watch is not None:
-            self.watch(self.problem, self.history[-1])
+            self.watch(self.problem, self.terms.contact, self.history[-1])
         if self.results is None:
             return
         with self.timer("output"):
@@ -317,7 +324,7 @@ class _Session:
                 if self.history and self.scene.output.fields == "end":
                     self._write_fields()
         outcome = {"converged": converged, "reason": reason, "warnings": warnings}
-        values = summary_values(self.problem, self.timer, self.capacitance, outcome)
+        values = summary_values(self.model, self.terms.contact, self.timer, self.capacitance, outcome)
         if self.results is None:
             self.summary = summary(self.comm, self.history, values)
             return
@@ -327,7 +334,7 @@ class _Session:
                 on_root(self.comm, self._picture)
 
     def _write_pairs(self) -> None:
-        contact = self.problem.contact
+        contact = self.terms.contact
         if contact is not None and contact.surface_pairs:
             self.results.pairs(self.last_step, pair_columns(self.model), pair_rows(contact, self.model))
 
@@ -338,8 +345,8 @@ class _Session:
 
     def _write_fields(self) -> None:
         self.results.fields(self.last_step, float(self.last_step), self._field_output().piece())
-        if self.problem.contact is not None:
-            points = contact_points(self.problem.contact, self.model)
+        if self.terms.contact is not None:
+            points = contact_points(self.terms.contact, self.model)
             self.results.contact(self.last_step, points, float(self.last_step))
 
     def _save_checkpoint(self) -> None:

@@ -18,38 +18,40 @@ from piezomat.solver.newton import Newton
 from piezomat.solver.outcome import NewtonReport
 from piezomat.usage import Timer
 
-Hook = Callable[[Problem], None]
+Hook = Callable[[Problem, Terms], None]
 
 
-def nothing(problem: Problem) -> None:
+def nothing(problem: Problem, terms: Terms) -> None:
     """Do nothing."""
 
 
 class Watched:
     """Newton's method of a problem, and what a test does before and after each solve: count, or raise SolveError."""
 
-    def __init__(self, newton: Newton, before: Hook, after: Hook) -> None:
+    def __init__(self, newton: Newton, terms: Terms, before: Hook, after: Hook) -> None:
         self.newton = newton
+        self.terms = terms
         self.watch = newton.watch
         self.before = before
         self.after = after
 
     def solve(self, search_radius: float, report: NewtonReport, *, settled: bool = False) -> None:
         """See `Newton.solve`."""
-        self.before(self.newton.problem)
+        self.before(self.newton.problem, self.terms)
         self.newton.solve(search_radius, report, settled=settled)
-        self.after(self.newton.problem)
+        self.after(self.newton.problem, self.terms)
 
 
 @contextmanager
 def stepper_of(scene: Scene, comm: MPI.Comm, before: Hook = nothing, after: Hook = nothing) -> Iterator[Stepper]:
     """A stepper for the scene; `before` and `after` are called around each of its solves. Collective."""
     model = Model(scene, create(comm, scene.geometry, scene.sizes))
-    problem = Problem(model, Terms.of(model, interfaces_of(model)), Timer())
-    newton = Newton(problem, scene.solver)
+    terms = Terms.of(model, interfaces_of(model))
+    problem = Problem(model, terms, Timer())
+    newton = Newton(problem, terms, scene.solver)
     try:
         tolerance = scene.contact.augment if scene.contact is not None else None
-        yield Stepper(problem, Watched(newton, before, after), scene.solver.max_cutbacks, tolerance)
+        yield Stepper(problem, terms, Watched(newton, terms, before, after), scene.solver.max_cutbacks, tolerance)
     finally:
         newton.close()
         problem.close()

@@ -105,7 +105,7 @@ class Points:
 
     def __init__(self, finished: Run) -> None:
         pressure, weight, place = [], [], []
-        for p in finished.problem.contact.surface_pairs:
+        for p in finished.contact.surface_pairs:
             shape = p.slave.kind.shape(p.projection.xi)
             place.append(np.einsum("mk,mkd->md", shape, p.projection.nodes))
             pressure.append(np.maximum(-p.response.traction, 0.0))

@@ -14,6 +14,7 @@ from piezomat import simulation
 from piezomat.api.result import Result
 from piezomat.api.stored import InFolder, InMemory
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.results.files import read_history
 from piezomat.results.vtk import ResultsError
 from piezomat.scene import Scene
@@ -41,8 +42,8 @@ def run(
     loaded = Scene.load(scene, overrides)
     kept, folder = InMemory(), Path(out) if out is not None else None
 
-    def keep(problem: Problem, row: Mapping[str, Any]) -> None:
-        kept.keep(problem, row["step"])
+    def keep(problem: Problem, contact: Interfaces | None, row: Mapping[str, Any]) -> None:
+        kept.keep(problem, contact, row["step"])
 
     silent = quiet or log.level > logging.INFO
     finished = simulation.run(loaded, comm, folder, quiet=silent, watch=keep)

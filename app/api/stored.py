@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.forms.arrays import Array
 from piezomat.results.fields import FieldOutput, contact_points
 from piezomat.results.pieces import joined_contact, joined_fields, read_contact, read_fields
@@ -25,12 +26,12 @@ class InMemory:
         """The steps that were kept."""
         return list(self._solutions)
 
-    def keep(self, problem: Problem, step: int) -> None:
+    def keep(self, problem: Problem, contact: Interfaces | None, step: int) -> None:
         """Keep the present state as the end of a step. Collective."""
         self._problem = problem
         self._solutions[step] = problem.solution().x.array.copy()
-        if problem.contact is not None:
-            self._contact[step] = contact_points(problem.contact, problem.model)
+        if contact is not None:
+            self._contact[step] = contact_points(contact, problem.model)
 
     def fields(self, step: int) -> FieldPiece | None:
         """The fields of a step, of all ranks. Collective."""
@@ -40,9 +41,8 @@ class InMemory:
 
     def contact(self, step: int) -> ContactPoints | None:
         """The contact points of a step, of all ranks. Collective."""
-        if self._problem.contact is None:
-            return None
-        return joined_contact(self._problem.comm.allgather(self._contact[step]))
+        points = self._contact.get(step)
+        return None if points is None else joined_contact(self._problem.comm.allgather(points))
 
 
 class InFolder:

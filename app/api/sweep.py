@@ -23,6 +23,7 @@ from piezomat import environment, simulation
 from piezomat.api import runs
 from piezomat.api.result import table
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.meshes.parallel import on_root
 from piezomat.progress import Progress
 from piezomat.results.atomic import write_text
@@ -141,7 +142,7 @@ def _state(out: Path, scene: Scene) -> str:
 def _run_here(case: Case, out: Path | None, comm: MPI.Comm, *, resume: bool) -> tuple[list[dict[str, Any]], bool, str]:
     rows: list[dict[str, Any]] = []
 
-    def watch(problem: Problem, row: Mapping[str, Any]) -> None:
+    def watch(problem: Problem, contact: Interfaces | None, row: Mapping[str, Any]) -> None:
         rows.append(dict(row))
 
     try:

@@ -16,7 +16,6 @@ from petsc4py import PETSc
 from piezomat.assembly.node_groups import joined_blocks, joined_groups
 from piezomat.assembly.tangent_matrix import TangentMatrix
 from piezomat.assembly.terms import Terms
-from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.discretization.state import ReadPoints, SavedHistory, State
@@ -39,7 +38,6 @@ class Problem:
         R(x) = sum of the terms' residuals = 0.
 
     model: what is solved
-    terms: what is summed
     state: x
     converged_state: x_n
     factors: load factors of the present load level
@@ -54,8 +52,9 @@ class Problem:
     """
 
     def __init__(self, model: Model, terms: Terms, timer: Timer) -> None:
+        """terms: what is summed."""
         self.model = model
-        self.terms = terms
+        self._terms = terms
         self.timer = timer
         self.comm: MPI.Comm = model.comm
         self.state = model.new_vector()
@@ -76,16 +75,11 @@ class Problem:
         stiffest = max(term.largest_penalty for term in terms)
         self.largest_force = length ** (model.dim - 1) * (model.stiffness + stiffest * length)
 
-    @property
-    def contact(self) -> Interfaces | None:
-        """The term of the interfaces, for the rules of the solver and for results; None without any."""
-        return self.terms.contact
-
     # --- load steps
 
     def set_loads(self, factors: dict[str, float]) -> None:
         """Go to a load level: loads, planes, and prescribed values, which Newton's start value takes up."""
-        for term in self.terms:
+        for term in self._terms:
             term.set_loads(factors)
         self.prescribed_values = self.model.constraints.values(factors)
         self.factors = dict(factors)
@@ -95,35 +89,35 @@ class Problem:
         self.collect_garbage()
         self.pair(margin)
         self.state.copy(self.converged_state)
-        for term in self.terms:
+        for term in self._terms:
             term.begin_step(self.converged_state)
 
     def return_to_converged_state(self) -> None:
         """Give the unknowns the values of the last converged state; load level and histories stay."""
         self.converged_state.copy(self.state)
-        for term in self.terms:
+        for term in self._terms:
             term.begin_step(self.converged_state)
 
     def commit(self) -> None:
         """Advance the histories of the terms: the last evaluation is the end of a part of a step that has converged."""
-        for term in self.terms:
+        for term in self._terms:
             term.commit()
 
     def copy_state(self) -> State:
         """The present unknowns and load level, with the histories of the last converged part of a step."""
-        return State(self.state.array_r.copy(), self.factors, tuple(term.history() for term in self.terms))
+        return State(self.state.array_r.copy(), self.factors, tuple(term.history() for term in self._terms))
 
     def restore(self, state: State) -> None:
         """Return to a state. What is detected and evaluated is then still that of another one."""
         self.state.array[:] = state.unknowns
         self.set_loads(dict(state.factors))
-        for term, history in zip(self.terms, state.histories, strict=True):
+        for term, history in zip(self._terms, state.histories, strict=True):
             term.restore(history)
 
     def saved_histories(self) -> SavedHistory:
         """The histories of the terms for a checkpoint."""
         points, scalars = {}, {}
-        for term in self.terms:
+        for term in self._terms:
             saved = term.saved()
             points |= saved.points
             scalars |= saved.scalars
@@ -132,15 +126,15 @@ class Problem:
     def resume(self, factors: dict[str, float], read: ReadPoints, scalars: Mapping[str, float]) -> None:
         """Take up a load level and the histories of a checkpoint; the unknowns are written to `state`."""
         self.set_loads(factors)
-        for term in self.terms:
+        for term in self._terms:
             term.resume(read, scalars)
 
     def pair(self, margin: float) -> None:
         """Detect what acts on what at the present state, such as contact, with a search radius `margin` (um)."""
-        for term in self.terms.blocks:
+        for term in self._terms.blocks:
             with self.timer(term.phase):
                 term.detect(self.state, margin)
-        if self.terms.blocks and self._matrix is not None:
+        if self._terms.blocks and self._matrix is not None:
             self._matrix.forget_pattern()
 
     def prescribed_change(self) -> PETSc.Vec:
@@ -177,7 +171,7 @@ class Problem:
         """
         with self.timer("assembly"):
             (assembled or self._assembled_residual)(x, self.residual_with_reactions)
-        for term in self.terms.blocks:
+        for term in self._terms.blocks:
             with self.timer(term.phase):
                 term.add_residual(x, self.residual_with_reactions, mode)
         self.residual_with_reactions.copy(result)
@@ -192,19 +186,19 @@ class Problem:
         """Norms, as `Unknowns.norms`, of the external forces at the last `residual`: reactions, loads, rigid planes."""
         self.residual_with_reactions.copy(self._work)
         self._work.scale(-1.0)
-        for term in self.terms:
+        for term in self._terms:
             term.add_external_forces(self._work)
         return self.model.unknowns.norms(self._work)
 
     def _assembled_residual(self, x: PETSc.Vec, result: PETSc.Vec) -> None:
         if self.is_constant:
             self._stiffness.mult(x, result)
-            for term in self.terms.assembled:
+            for term in self._terms.assembled:
                 term.add_constant_residual(result)
             return
         self.model.set_trial_state(x)
         result.set(0.0)
-        for term in self.terms.assembled:
+        for term in self._terms.assembled:
             term.add_residual(x, result)
 
     # --- tangent
@@ -216,14 +210,14 @@ class Problem:
                 self.model.set_trial_state(x)
                 self._assemble_stiffness()
                 self._renew_stiffness()
-        for term in self.terms.blocks:
+        for term in self._terms.blocks:
             with self.timer(term.phase):
                 term.linearize(x, mode)
 
     def tangent(self) -> tuple[PETSc.Mat, bool]:
         """The tangent T^T K T as a matrix, and whether its pattern differs from the last."""
         nodes, matrices = self.blocks()
-        reserve = joined_groups([term.reserve() for term in self.terms.blocks])
+        reserve = joined_groups([term.reserve() for term in self._terms.blocks])
         with self.timer("assembly"):
             if self._matrix is None:
                 self._matrix = self._new_matrix()
@@ -233,7 +227,7 @@ class Problem:
 
     def blocks(self) -> tuple[Integers, Array]:
         """The tangent of the block terms: global nodes (k, n) of each group here, its matrix (k, n b, n b)."""
-        return joined_blocks([term.blocks() for term in self.terms.blocks], self.model.unknowns.block)
+        return joined_blocks([term.blocks() for term in self._terms.blocks], self.model.unknowns.block)
 
     def bulk_stiffness(self) -> PETSc.Mat:
         """The tangent T^T K T of the assembled terms; a new matrix."""
@@ -253,20 +247,20 @@ class Problem:
     def multiply(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = tangent K times a change of all unknowns, none eliminated."""
         self._stiffness.mult(change, result)
-        for term in self.terms.blocks:
+        for term in self._terms.blocks:
             term.add_product(change, result)
 
     def linearized_block_residual(self, change: PETSc.Vec, result: PETSc.Vec) -> None:
         """result = residual of the block terms plus their tangent times a change of the state."""
         result.set(0.0)
-        for term in self.terms.blocks:
+        for term in self._terms.blocks:
             term.add_linearized_residual(result)
             term.add_product(change, result)
 
     def _assemble_stiffness(self) -> None:
         """The tangent of the assembled terms at the model's state."""
         self._stiffness.zeroEntries()
-        for term in self.terms.assembled:
+        for term in self._terms.assembled:
             term.add_tangent(self._stiffness)
 
     def _renew_stiffness(self) -> None:
@@ -279,7 +273,7 @@ class Problem:
     def energies(self, x: PETSc.Vec) -> dict[str, float]:
         """Energies of all terms at x, where the residual was evaluated last, by name, pJ (2D: per um of depth)."""
         total: dict[str, float] = {}
-        for term in self.terms:
+        for term in self._terms:
             for name, value in term.energies(x).items():
                 total[name] = total.get(name, 0.0) + value
         return total
@@ -320,7 +314,7 @@ class Problem:
         give_back_memory()
 
     def close(self) -> None:
-        """Destroy the matrices; state and contact can still be looked at."""
+        """Destroy the matrices; state and terms can still be looked at."""
         tangent = self._matrix.matrix if self._matrix is not None else None
         for matrix in (self._stiffness, tangent):
             if matrix is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from piezomat.assembly.problem import Problem
 from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.rigid_plane import RigidPlane
 from piezomat.discretization.model import Model
@@ -49,10 +48,9 @@ def box_of(model: Model, contact: Interfaces | None) -> Box | None:
     return Box(floors[0], lids[0], thickness, outcome.area) if thickness > 0.0 else None
 
 
-def box_state(problem: Problem) -> BoxState:
+def box_state(model: Model, box: Box) -> BoxState:
     """Strain and stress of the box at the last evaluation. Collective."""
-    box = box_of(problem.model, problem.contact)
-    upright = problem.model.dim - 1
-    force = parallel.total(problem.comm, box.lid.force)
+    upright = model.dim - 1
+    force = parallel.total(model.comm, box.lid.force)
     approach = box.lid.offset[upright] - box.floor.offset[upright]
     return BoxState(float(approach) / box.thickness, float(force[upright]) / box.area)

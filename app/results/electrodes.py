@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class ElectrodeState:
     charge: float
 
 
-def electrode_states(problem: Problem) -> list[ElectrodeState]:
+def electrode_states(problem: Problem, terms: Terms) -> list[ElectrodeState]:
     """State of each electrode at the last residual, in the order of the scene. Collective."""
     model, constraints = problem.model, problem.model.constraints
     count = len(constraints.electrodes)
@@ -24,9 +25,6 @@ def electrode_states(problem: Problem) -> list[ElectrodeState]:
     voltages = model.potential_scale * constraints.potentials.values(problem.state)
     # The residual is that of what lies in the bodies, across contacts, and of the charges given: without these it is
     # minus the charge.
-    sums = [
-        constraints.ties.sums(vector)[:count]
-        for vector in (problem.terms.loads.vector, problem.residual_with_reactions)
-    ]
-    charges = (sums[0] - sums[1]) / model.potential_scale - problem.terms.circuits.charges(problem.state)
+    sums = [constraints.ties.sums(vector)[:count] for vector in (terms.loads.vector, problem.residual_with_reactions)]
+    charges = (sums[0] - sums[1]) / model.potential_scale - terms.circuits.charges(problem.state)
     return [ElectrodeState(float(v), float(q)) for v, q in zip(voltages, charges, strict=True)]

@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.forms.arrays import Array
 from piezomat.meshes import parallel
 
@@ -25,8 +26,9 @@ class EnergyBalance:
     planes (planes, 2 d + 2): force, position, charge and potential of each plane at the end of the last part.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, terms: Terms) -> None:
         self.problem = problem
+        self._terms = terms
         self.external_work = 0.0
         self.stabilization_work = 0.0
         self.forces = problem.model.new_vector()
@@ -51,7 +53,7 @@ class EnergyBalance:
         by_node, d = problem.model.unknowns.by_node, problem.model.dim
         # The residual contains the loads and is zero where nothing is prescribed: without them it is both their forces
         # and the reactions.
-        new = by_node(problem.residual_with_reactions) - by_node(problem.terms.loads.vector)
+        new = by_node(problem.residual_with_reactions) - by_node(self._terms.loads.vector)
         old, x, x0 = by_node(self.forces), by_node(problem.state), by_node(problem.converged_state)
         work = 0.0
         if snap_through_work is None:
@@ -63,12 +65,12 @@ class EnergyBalance:
             self.external_work += float(snap_through_work[0])
             self.stabilization_work += float(snap_through_work[1])
         self._add_planes(by_force=snap_through_work is None)
-        self.stabilization_work += problem.terms.stabilization.work(problem.state)
+        self.stabilization_work += self._terms.stabilization.work(problem.state)
         problem.model.unknowns.set_by_node(self.forces, new)
 
     def _plane_values(self) -> Array:
         """Force (d,), position (d,), charge and potential of each plane, (planes, 2 d + 2)."""
-        contact = self.problem.contact
+        contact = self._terms.contact
         planes = contact.planes if contact is not None else []
         d = self.problem.model.dim
         values = np.zeros((len(planes), 2 * d + 2))

@@ -13,6 +13,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.interface_laws import gap_medium
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.model import Model
@@ -80,6 +81,7 @@ class ConvergedStep:
     """
 
     problem: Problem
+    terms: Terms
     balance: EnergyBalance
     step: Step
     report: StepReport
@@ -92,12 +94,12 @@ class Group:
     """The quantities of one kind of place.
 
     symbol: stands for the place in the table of columns; empty where there is only one place.
-    places: names of the places of a problem.
+    places: names of the places of a model and its interfaces, None without any.
     records: the record of each place, in this order. Collective.
     """
 
     symbol: str
-    places: Callable[[Problem], Sequence[str]]
+    places: Callable[[Model, Interfaces | None], Sequence[str]]
     records: Callable[[ConvergedStep], Sequence[Any]]
     quantities: list[Quantity]
 
@@ -113,12 +115,12 @@ class Group:
         return (q for q in self.quantities if q.applies(model))
 
 
-def _one_place(problem: Problem) -> Sequence[str]:
+def _one_place(model: Model, contact: Interfaces | None) -> Sequence[str]:
     return ("",)
 
 
-def _listed_pairs(problem: Problem) -> Mapping[int, str]:
-    return problem.contact.pairs.listed if problem.contact is not None else {}
+def _listed_pairs(contact: Interfaces | None) -> Mapping[int, str]:
+    return contact.pairs.listed if contact is not None else {}
 
 
 def _reactions(at: ConvergedStep) -> list[Any]:
@@ -127,14 +129,19 @@ def _reactions(at: ConvergedStep) -> list[Any]:
 
 
 def _planes(at: ConvergedStep) -> list[Any]:
-    contact = at.problem.contact
+    contact = at.terms.contact
     return totals_of_planes(contact) if contact is not None else []
 
 
 def _pairs(at: ConvergedStep) -> list[Any]:
-    listed = _listed_pairs(at.problem)
-    totals = totals_of_pairs(at.problem.contact) if listed else {}
+    listed = _listed_pairs(at.terms.contact)
+    totals = totals_of_pairs(at.terms.contact) if listed else {}
     return [totals.get(number, PairTotals.none(at.problem.model.dim)) for number in listed]
+
+
+def _box(at: ConvergedStep) -> list[Any]:
+    box = box_of(at.problem.model, at.terms.contact)
+    return [box_state(at.problem.model, box)] if box is not None else []
 
 
 def _energies(at: ConvergedStep) -> list[Any]:
@@ -159,13 +166,13 @@ STEP = Group(
 )
 FACTOR = Group(
     "NAME",
-    lambda problem: list(problem.model.scene.load.factors),
+    lambda model, contact: list(model.scene.load.factors),
     lambda at: [at.step.after[name] for name in at.problem.model.scene.load.factors],
     [Quantity("factor:{place}", "", "value of a load factor", lambda value: value)],
 )
 BOUNDARY = Group(
     "B",
-    lambda problem: list(problem.model.constraints.groups),
+    lambda model, contact: list(model.constraints.groups),
     _reactions,
     [
         Quantity(
@@ -188,7 +195,7 @@ BOUNDARY = Group(
 )
 RIGID = Group(
     "B",
-    lambda problem: [r.boundary.on for r in problem.model.constraints.rigid],
+    lambda model, contact: [r.boundary.on for r in model.constraints.rigid],
     lambda at: travels(at.problem, at.step.after),
     [Quantity("travel@{place}", "um", "how far a rigid boundary has moved along its force", lambda value: value)],
 )
@@ -209,7 +216,7 @@ MAX_FIELD = Quantity(
 )
 PLANE = Group(
     "P",
-    lambda problem: [plane.name for plane in problem.model.scene.planes],
+    lambda model, contact: [plane.name for plane in model.scene.planes],
     _planes,
     [
         Quantity(
@@ -240,8 +247,8 @@ PLANE = Group(
 # Of a recipe's fibers between a floor and a lid.
 BOX = Group(
     "",
-    lambda problem: [""] if box_of(problem.model, problem.contact) is not None else [],
-    lambda at: [box_state(at.problem)] if box_of(at.problem.model, at.problem.contact) is not None else [],
+    lambda model, contact: [""] if box_of(model, contact) is not None else [],
+    _box,
     [
         Quantity(
             "strain",
@@ -260,8 +267,8 @@ BOX = Group(
 )
 ELECTRODE = Group(
     "E",
-    lambda problem: problem.model.electrode_names,
-    lambda at: electrode_states(at.problem),
+    lambda model, contact: model.electrode_names,
+    lambda at: electrode_states(at.problem, at.terms),
     [
         Quantity("voltage@{place}", "V", "potential of an electrode", attrgetter("voltage")),
         Quantity("charge@{place}", "pC", "free charge on an electrode", attrgetter("charge")),
@@ -269,7 +276,7 @@ ELECTRODE = Group(
 )
 PAIR = Group(
     "C",
-    lambda problem: list(_listed_pairs(problem).values()),
+    lambda model, contact: list(_listed_pairs(contact).values()),
     _pairs,
     [
         Quantity("contact_force_{axis}@{place}", "uN", "force on the first body of the pair", attrgetter("force")),
@@ -316,7 +323,7 @@ ENERGY = Group(
 # After all that contact's last evaluation holds: this evaluates it anew.
 CAPACITANCE = Group(
     "",
-    lambda problem: [""] if len(problem.model.constraints.electrodes) == 2 else [],
+    lambda model, contact: [""] if len(model.constraints.electrodes) == 2 else [],
     lambda at: [at.capacitance()] if len(at.problem.model.constraints.electrodes) == 2 else [],
     [Quantity("capacitance", "pC/V", "between the electrodes, of a scene with two", between)],
 )
@@ -343,13 +350,14 @@ WHOLE = Group(
 GROUPS = (STEP, FACTOR, BOUNDARY, RIGID, PLANE, BOX, ELECTRODE, PAIR, ENERGY, CAPACITANCE, WHOLE)
 
 
-def columns(problem: Problem) -> list[str]:
+def columns(model: Model, contact: Interfaces | None) -> list[str]:
     """Names of the history's columns, in order."""
-    return [name for g in GROUPS for place in g.places(problem) for name in g.columns(problem.model, place)]
+    return [name for g in GROUPS for place in g.places(model, contact) for name in g.columns(model, place)]
 
 
 def row(
     problem: Problem,
+    terms: Terms,
     balance: EnergyBalance,
     step: Step,
     report: StepReport,
@@ -357,10 +365,10 @@ def row(
     capacitance: Callable[[], Array | None],
 ) -> dict[str, float | int]:
     """Row of the history of a converged step, by column. Collective; the same on all ranks."""
-    at, model = ConvergedStep(problem, balance, step, report, seconds, capacitance), problem.model
+    at, model = ConvergedStep(problem, terms, balance, step, report, seconds, capacitance), problem.model
     values: dict[str, float | int] = {}
     for group in GROUPS:
-        for place, record in zip(group.places(problem), group.records(at), strict=True):
+        for place, record in zip(group.places(model, terms.contact), group.records(at), strict=True):
             values |= zip(group.columns(model, place), group.values(model, record), strict=True)
     return values
 

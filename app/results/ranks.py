@@ -6,22 +6,22 @@ from collections.abc import Mapping, Sequence
 
 from mpi4py import MPI
 
-from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
+from piezomat.discretization.model import Model
 from piezomat.usage import peak_memory_mb
 
 
-def load_per_rank(problem: Problem) -> dict[str, list[int]]:
+def load_per_rank(model: Model, contact: Interfaces | None) -> dict[str, list[int]]:
     """`dofs`, `contact_points` and `memory_mb`, each with a number for each rank. Collective.
 
     contact_points: those near another body or a plane at the last search. memory_mb: the peak.
     """
-    contact = problem.contact
     here = {
-        "dofs": problem.model.unknowns.owned * problem.model.unknowns.block,
+        "dofs": model.unknowns.owned * model.unknowns.block,
         "contact_points": 0 if contact is None else sum(len(p.near_points) for p in contact.point_sets),
         "memory_mb": round(peak_memory_mb(MPI.COMM_SELF)),
     }
-    everywhere = problem.comm.allgather(here)
+    everywhere = model.comm.allgather(here)
     return {name: [rank[name] for rank in everywhere] for name in here}
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from piezomat.assembly.problem import Problem
 from piezomat.contact.facets_across import Across, facets_across
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.unseen_penetration import new_warnings
 from piezomat.contact.untouched_bodies import contact_forces, unconstrained_parts, untouched_bodies
 from piezomat.forms.arrays import Array
@@ -27,8 +28,9 @@ ZERO = 1e-6  # of the largest potential in the bodies
 class RunDoubts:
     """Looks at each step that has converged, and at the end at all of them. Collective."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, contact: Interfaces | None) -> None:
         self.problem = problem
+        self.contact = contact
         model = problem.model
         self._touched: set[int] = set()
         self._unseen: set[str] = set()
@@ -49,7 +51,7 @@ class RunDoubts:
         fields: computes this rank's fields of the present state; called only where a doubt needs them.
         """
         found: list[str] = []
-        model, contact = self.problem.model, self.problem.contact
+        model, contact = self.problem.model, self.contact
         if contact is not None:
             self._touched |= contact.touching_bodies()
             self._compare_forces()
@@ -70,7 +72,7 @@ class RunDoubts:
             return []
         found = []
         model = self.problem.model
-        untouched = untouched_bodies(model, self._touched) if self.problem.contact is not None else []
+        untouched = untouched_bodies(model, self._touched) if self.contact is not None else []
         if untouched:
             found.append(f"held by weak springs alone, these bodies never touched anything: {named(untouched)}")
         drifting = self._drifting()
@@ -100,7 +102,7 @@ class RunDoubts:
         size = "make the facets of the mesh there smaller"
         if not isinstance(scene.geometry, MeshFile):
             size = f"lower mesh.contact_size to {rounded_down(scene.sizes.contact_size * least / FEW_FACETS)}"
-        name = shown(self.problem.contact.pairs.result_name(number))
+        name = shown(self.contact.pairs.result_name(number))
         wide = f"{least:.2g} facet{'s' * (least > 1.05)} wide{others}"
         return (
             f"the contact {name} is {wide}: its largest pressure and the voltage are those of the mesh; {size} for "
@@ -109,7 +111,7 @@ class RunDoubts:
 
     def _compare_forces(self) -> None:
         """Keep how far from balance the contact forces on each body are where they are largest."""
-        net, gross = contact_forces(self.problem.model, self.problem.contact)
+        net, gross = contact_forces(self.problem.model, self.contact)
         larger = gross > self._most
         self._most[larger] = gross[larger]
         self._unbalanced[larger] = np.linalg.norm(net[larger], axis=1) / gross[larger]

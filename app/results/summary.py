@@ -16,7 +16,8 @@ import numpy as np
 from mpi4py import MPI
 
 from piezomat import __version__
-from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
+from piezomat.discretization.model import Model
 from piezomat.forms import fenicsx
 from piezomat.results.ranks import described, load_per_rank
 from piezomat.usage import Timer, peak_memory_mb
@@ -43,11 +44,14 @@ def summary(comm: MPI.Comm, rows: Sequence[Mapping[str, Any]], values: Mapping[s
 
 
 def summary_values(
-    problem: Problem, timer: Timer, capacitance: list[list[list[float]]], outcome: Mapping[str, Any]
+    model: Model,
+    contact: Interfaces | None,
+    timer: Timer,
+    capacitance: list[list[list[float]]],
+    outcome: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The values that `summary` asks for, of a run that has ended with this `outcome`. Collective."""
-    model = problem.model
-    loads = load_per_rank(problem)
+    loads = load_per_rank(model, contact)
     if model.comm.size > 1:
         log.info("%s", described(loads))
     recipe = model.scene.outcome

@@ -17,6 +17,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.solver.convergence import Convergence
 from piezomat.solver.linear import LinearSolver
@@ -40,8 +41,16 @@ class ActiveSetPrediction:
     poor_steps: steps of the present solve that left more than `POOR_STEP` of the residual.
     """
 
-    def __init__(self, problem: Problem, linear: LinearSolver, snes: PETSc.SNES, convergence: Convergence) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        contact: Interfaces | None,
+        linear: LinearSolver,
+        snes: PETSc.SNES,
+        convergence: Convergence,
+    ) -> None:
         self.problem = problem
+        self._contact = contact
         self.linear = linear
         self.snes = snes
         self.convergence = convergence
@@ -71,7 +80,7 @@ class ActiveSetPrediction:
         Only where a solve is cheap. Bonds that break are left to small steps. residual: the relative one at x. mode:
         in which contact was linearized. The matrix of the last linear solve may be another one afterwards.
         """
-        problem, contact, ksp = self.problem, self.problem.contact, self.snes.getKSP()
+        problem, contact, ksp = self.problem, self._contact, self.snes.getKSP()
         if not self.is_cheap or self.poor_steps >= MAX_POOR_STEPS or contact.adhesive or contact.evaluation_failed:
             return
         best, least = change.copy(), np.inf

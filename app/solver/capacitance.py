@@ -17,6 +17,7 @@ import logging
 import numpy as np
 from petsc4py import PETSc
 
+from piezomat.assembly.circuits import Circuits
 from piezomat.assembly.problem import Problem
 from piezomat.forms.arrays import Array
 from piezomat.solver.linear import LinearSolver
@@ -31,8 +32,9 @@ TOLERANCE = 1e-3  # of a Krylov solver, which begins at the solution of the last
 class Capacitance:
     """Computes the capacitance matrix of a problem's electrodes. Every method is collective."""
 
-    def __init__(self, problem: Problem, linear: LinearSolver, snes: PETSc.SNES) -> None:
+    def __init__(self, problem: Problem, circuits: Circuits, linear: LinearSolver, snes: PETSc.SNES) -> None:
         self.problem = problem
+        self._circuits = circuits
         self.linear = linear
         self.snes = snes
         model, constraints = problem.model, problem.model.constraints
@@ -69,7 +71,7 @@ class Capacitance:
         if len(self._solved) < len(given):
             differences[:, np.delete(np.arange(len(given)), self._solved)] = -1.0
         matrix = differences.T @ _of_charges(stationary, open_) @ differences
-        return 0.5 * (matrix + matrix.T) - problem.terms.circuits.matrix
+        return 0.5 * (matrix + matrix.T) - self._circuits.matrix
 
     def _change(self, electrode: int, response: PETSc.Vec) -> PETSc.Vec:
         """The change of the state x for a unit potential or a unit charge of an electrode; a new vector.

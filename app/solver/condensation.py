@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.ghost_scatter import GhostScatter
@@ -46,17 +47,18 @@ class Condensation:
     factor_solves: solves with the factors of the bulk so far.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, contact: Interfaces) -> None:
         self.problem = problem
+        self._contact = contact
         self.comm: MPI.Comm = problem.comm
         self.block = problem.model.unknowns.block
         self._unknowns = problem.model.unknowns.numbers
         unknowns = problem.model.unknowns
         self._references = unknowns.reference_node(0) + np.arange(unknowns.references)
         self.candidates = self._references
-        motion = problem.model.prescription.largest_motion() or problem.contact.least_search_radius()
+        motion = problem.model.prescription.largest_motion() or contact.least_search_radius()
         self._distance = CANDIDATE_DISTANCE * motion
-        problem.contact.set_candidate_distance(self._distance)
+        contact.set_candidate_distance(self._distance)
         self.candidates_exceeded = False
         self.is_reduced = False
         self.factor_solves = 0
@@ -93,7 +95,7 @@ class Condensation:
             self.candidates_exceeded = self.candidates_exceeded or exceeded
             nodes, matrices = nodes[inside], matrices[inside]
         elif exceeded or self._stiffness_version != self.problem.stiffness_version:
-            wanted = np.union1d(nodes, self.problem.contact.candidate_nodes(self._distance))
+            wanted = np.union1d(nodes, self._contact.candidate_nodes(self._distance))
             candidates = np.unique(np.concatenate([self.candidates, *self.comm.allgather(wanted)]))
             if len(candidates) * self.block > limit:
                 return False

@@ -12,6 +12,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.solver.convergence import Convergence, require_convergence
 from piezomat.solver.linear import LinearSolver
 from piezomat.solver.outcome import NewtonReport, SolveError
@@ -29,12 +30,14 @@ class EndChecks:
     def __init__(
         self,
         problem: Problem,
+        contact: Interfaces | None,
         linear: LinearSolver,
         snes: PETSc.SNES,
         convergence: Convergence,
         max_iterations: int,
     ) -> None:
         self.problem = problem
+        self._contact = contact
         self.linear = linear
         self.snes = snes
         self.convergence = convergence
@@ -71,7 +74,7 @@ class EndChecks:
         return not self.convergence.is_balanced(self._residual)
 
     def _repair_search_radius(self) -> bool:
-        contact = self.problem.contact
+        contact = self._contact
         ended = self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         if contact is None or not (ended and contact.search_radius_exceeded):
             return False
@@ -79,7 +82,7 @@ class EndChecks:
         return True
 
     def _repair_penetration(self) -> bool:
-        contact = self.problem.contact
+        contact = self._contact
         penetration = contact.penetration() if contact is not None else 0.0
         if penetration <= 0.5 * self.search_radius:
             return False
@@ -87,7 +90,7 @@ class EndChecks:
         return True
 
     def _repair_segments(self) -> bool:
-        contact = self.problem.contact
+        contact = self._contact
         if contact is None or not self._segment_repairs or not contact.has_stale_segments():
             return False
         self._segment_repairs -= 1

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.contact.pushed_planes import free_travels, push
 from piezomat.discretization.evaluation_mode import EvaluationMode
 
@@ -19,12 +20,12 @@ TOLERANCE = 1e-3  # of the force
 FIRST = 1e-3  # of a facet: first depth
 
 
-def approach(problem: Problem) -> bool:
+def approach(problem: Problem, contact: Interfaces | None) -> bool:
     """Move planes by force that touch nothing up to the bodies, at the state of the last detection; whether any has.
 
     That takes no force. Collective.
     """
-    contact, travels = problem.contact, problem.model.constraints.travels
+    travels = problem.model.constraints.travels
     if contact is None or not len(travels):
         return False
     free = free_travels(contact) * (problem.model.loads.forces[-len(travels) :] > 0.0)
@@ -33,9 +34,9 @@ def approach(problem: Problem) -> bool:
     return bool(free.any())
 
 
-def settle(problem: Problem, mode: EvaluationMode) -> None:
+def settle(problem: Problem, contact: Interfaces | None, mode: EvaluationMode) -> None:
     """Press planes by force that touch nothing, at the problem's state, into bodies at rest. Collective."""
-    contact, travels = problem.contact, problem.model.constraints.travels
+    travels = problem.model.constraints.travels
     if contact is None or not len(travels):
         return
     wanted = problem.model.loads.forces[-len(travels) :]

@@ -7,6 +7,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.scene.sections import Solver
@@ -39,9 +40,9 @@ def is_direct(model: Model, keys: Solver) -> bool:
     return model.dim == 2 or model.unknowns.total <= direct_limit_3d(model)
 
 
-def linear_solver(problem: Problem, keys: Solver) -> LinearSolver:
+def linear_solver(problem: Problem, contact: Interfaces | None, keys: Solver) -> LinearSolver:
     """The solver that suits a problem, unless the scene's [solver] names another."""
-    return (Direct if is_direct(problem.model, keys) else Multigrid)(problem, keys)
+    return Direct(problem, contact, keys) if is_direct(problem.model, keys) else Multigrid(problem, keys)
 
 
 class Direct:
@@ -57,11 +58,12 @@ class Direct:
     start_tolerance = close_tolerance = None
     operators: tuple[PETSc.Mat, PETSc.Mat]
 
-    def __init__(self, problem: Problem, keys: Solver) -> None:
+    def __init__(self, problem: Problem, contact: Interfaces | None, keys: Solver) -> None:
         self.problem = problem
         chosen_by_scene = any(name.startswith(("pc_", "mat_")) for name in keys.petsc)
-        constant = problem.contact is not None and problem.is_constant and problem.is_symmetric
-        self._condensation: Condensation | None = Condensation(problem) if constant and not chosen_by_scene else None
+        self._condensation: Condensation | None = None
+        if contact is not None and problem.is_constant and problem.is_symmetric and not chosen_by_scene:
+            self._condensation = Condensation(problem, contact)
         self._counted = self._condensation
         self.equations: Equations = WholeProblem(problem)
         if self._condensation is not None:

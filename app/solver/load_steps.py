@@ -14,6 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.uzawa import augment
 from piezomat.discretization.prescription import Factors
 from piezomat.forms.arrays import Array
@@ -100,16 +101,18 @@ class Stepper:
     def __init__(
         self,
         problem: Problem,
+        terms: Terms,
         newton: Newton,
         max_cutbacks: int,
         augment_tolerance: float | None = None,
     ) -> None:
-        """augment_tolerance: see `contact.augment` of a scene; None: no augmentation."""
+        """terms: those of the problem. augment_tolerance: see `contact.augment` of a scene; None: no augmentation."""
         self.problem = problem
+        self.terms = terms
         self.newton = newton
         self.watch = newton.watch
         self.stabilization = (
-            StabilizationContinuation(problem, newton.solve) if problem.terms.stabilization.is_active else None
+            StabilizationContinuation(problem, terms, newton.solve) if terms.stabilization.is_active else None
         )
         self.max_cutbacks = max_cutbacks
         self.augment_tolerance = augment_tolerance
@@ -121,7 +124,7 @@ class Stepper:
         return {
             "size": self.size,
             "motion": self.last_motion,
-            "stabilization_factor": self.problem.terms.stabilization.factor,
+            "stabilization_factor": self.terms.stabilization.factor,
         }
 
     def resume(self, size: float, motion: float, stabilization_factor: float | None) -> None:
@@ -149,7 +152,7 @@ class Stepper:
             except SolveError as error:
                 report.cutbacks += 1
                 self.watch.failed(str(error))
-                contact, tried = self.problem.contact, target - done  # the last part of a step may be a small rest
+                contact, tried = self.terms.contact, target - done  # the last part of a step may be a small rest
                 if contact is None or not contact.adhesive or tried > 0.5**SNAP_CUTBACKS:
                     self._cut(step, tried, error)
                     continue
@@ -177,18 +180,18 @@ class Stepper:
         prescribed = problem.model.prescription.motion(after, before)
         search_radius = self.search_radius(prescribed)
         problem.begin_step(search_radius)
-        if approach(problem):
+        if approach(problem, self.terms.contact):
             problem.begin_step(search_radius)
         if viscosity is not None:
             problem.residual(problem.state, problem.state.duplicate())
-            problem.contact.start_viscous_regularization(viscosity)
+            self.terms.contact.start_viscous_regularization(viscosity)
         try:
             self._solve(search_radius, prescribed, report)
         except (SolveError, StepAbandoned):
             problem.restore(start)
             raise
         self.last_motion = problem.motion()
-        report.snap_through_work = snap_through_work(problem)
+        report.snap_through_work = snap_through_work(problem, self.terms)
         problem.commit()
         committed(report)
 
@@ -208,7 +211,7 @@ class Stepper:
             self._part(before, after, committed, report, viscosity)
             before = after
 
-        snap_through(self.problem.contact, part)
+        snap_through(self.terms.contact, part)
 
     def _solve(self, search_radius: float, prescribed: float, report: StepReport) -> None:
         """Bring the problem to equilibrium, again after each step of augmentation until gap and jump are small."""
@@ -227,7 +230,7 @@ class Stepper:
             report.augmentations += number > 0
             if tolerance is None:
                 return
-            left = augment(problem.contact, tolerance, problem.potential_range())
+            left = augment(self.terms.contact, tolerance, problem.potential_range())
             if left is None:
                 return
         gap, jump = left
@@ -247,14 +250,14 @@ class Stepper:
 
     def _remark(self) -> str:
         """What the last converged state says about why there is no next one."""
-        if self.problem.contact is None:
+        if self.terms.contact is None:
             return ""
         self.revisit()
-        depth = self.problem.contact.penetration_in_facets()
+        depth = self.terms.contact.penetration_in_facets()
         if depth > DEEP:
             return f" (surfaces lie {depth:.1f} facets inside each other, where they buckle: raise the normal penalty)"
         model = self.problem.model
-        laws = [law for p in self.problem.contact.point_sets for law in p.law.summands()]
+        laws = [law for p in self.terms.contact.point_sets for law in p.law.summands()]
         fades = [float(law.fade.min(initial=np.inf)) for law in laws if isinstance(law, EqualPotential)]
         fade = model.comm.allreduce(min(fades, default=np.inf), op=MPI.MIN)
         # Potentials that the bodies' own strain causes have never pulled surfaces together.
@@ -270,12 +273,12 @@ class Stepper:
 
     def revisit(self) -> None:
         """Evaluate residual and contact at the present state, as they are at the end of a step."""
-        problem = self.problem
-        radius = problem.contact.least_search_radius() if problem.contact is not None else 0.0
+        problem, contact = self.problem, self.terms.contact
+        radius = contact.least_search_radius() if contact is not None else 0.0
         problem.begin_step(radius)
         problem.residual(problem.state, problem.state.duplicate())
 
     def search_radius(self, prescribed: float) -> float:
         """How far the contact search must look in the coming solve, um: what moves, and what is already there."""
-        contact = self.problem.contact
+        contact = self.terms.contact
         return 0.0 if contact is None else contact.least_search_radius() + 4.0 * max(prescribed, self.last_motion)

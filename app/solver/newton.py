@@ -29,6 +29,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
@@ -67,11 +68,14 @@ class Newton:
     convergence, line_search, prediction, start_value, checks: the parts of an iteration that have modules of their own.
     """
 
-    def __init__(self, problem: Problem, keys: Solver, watch: StepWatch | None = None) -> None:
+    def __init__(self, problem: Problem, terms: Terms, keys: Solver, watch: StepWatch | None = None) -> None:
+        """terms: those of the problem."""
         self.problem = problem
+        self._contact = contact = terms.contact
+        self._stabilization = terms.stabilization
         self.keys = keys
         self.watch = watch or StepWatch()
-        self.linear = linear_solver(problem, keys)
+        self.linear = linear_solver(problem, contact, keys)
         self.callback_errors = self.linear.callback_errors
         self._options = SolverOptions({"snes_linesearch_type": "basic", **self.linear.options()}, keys.petsc)
         self.snes = PETSc.SNES().create(problem.comm)
@@ -79,10 +83,10 @@ class Newton:
         self.snes.setType(PETSc.SNES.Type.NEWTONLS)
         self.convergence = Convergence(problem, keys.tolerance)
         self.line_search = LineSearch(problem, self.linear)
-        self.prediction = ActiveSetPrediction(problem, self.linear, self.snes, self.convergence)
-        self.start_value = StartValue(problem, self.linear, self.snes, self.convergence, self.prediction)
-        self.checks = EndChecks(problem, self.linear, self.snes, self.convergence, keys.max_iterations)
-        self._capacitance = Capacitance(problem, self.linear, self.snes)
+        self.prediction = ActiveSetPrediction(problem, contact, self.linear, self.snes, self.convergence)
+        self.start_value = StartValue(problem, contact, self.linear, self.snes, self.convergence, self.prediction)
+        self.checks = EndChecks(problem, contact, self.linear, self.snes, self.convergence, keys.max_iterations)
+        self._capacitance = Capacitance(problem, terms.circuits, self.linear, self.snes)
         self._residual = problem.state.duplicate()
         self._report = NewtonReport()
         self._mode = COMPLETE  # in which contact is evaluated in the present iteration
@@ -91,7 +95,7 @@ class Newton:
         self.snes.setTolerances(max_it=keys.max_iterations)
         self.snes.setFunction(self._residual_at, self._residual)
         self.snes.setConvergenceTest(self._test_convergence)
-        if problem.contact is not None or problem.model.constraints.ties:
+        if contact is not None or problem.model.constraints.ties:
             self.snes.setLineSearchPreCheck(self._adapt_step)
         self._options_are_checked = False
         try:
@@ -172,7 +176,7 @@ class Newton:
     @callback(instead=lambda *_: fenicsx.NOT_A_NUMBER)
     def _test_convergence(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """Converged, diverged (not a number, or contact beyond the search or the equations), or neither."""
-        contact, equations, residual = self.problem.contact, self.linear.equations, snes.getFunction()[0]
+        contact, equations, residual = self._contact, self.linear.equations, snes.getFunction()[0]
         if equations.is_exceeded or (contact is not None and contact.search_radius_exceeded):
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         relative = self.convergence.relative_residual(residual)
@@ -192,7 +196,7 @@ class Newton:
 
     def _complete(self, x: PETSc.Vec) -> bool:
         """Let the attraction act, and find anew what surfaces face at the state x; whether the residual changes."""
-        contact, before = self.problem.contact, self._mode
+        contact, before = self._contact, self._mode
         if contact is None:
             return False
         self._mode = replace(before, attraction=True)
@@ -215,7 +219,7 @@ class Newton:
         """Complete SNES's step (x becomes x - step) at tied unknowns; correct it by predictions, and shorten it."""
         self._timed_linear_solve.close()
         self.problem.model.constraints.expand(step)
-        if self.problem.contact is None:
+        if self._contact is None:
             return
         step.scale(-1.0)
         self.prediction.correct(x, step, self._report.residuals[-1], self._report, self._mode)
@@ -224,7 +228,7 @@ class Newton:
 
     def _final_solve(self) -> None:
         """Solve once more and closely: a residual does not show how far a part that next to nothing holds is off."""
-        if self.linear.close_tolerance is not None and self.problem.terms.stabilization.is_active:
+        if self.linear.close_tolerance is not None and self._stabilization.is_active:
             self.start_value.step(self._report, self._mode, closely=True)
             self.problem.residual(self.problem.state, self._residual)
 

@@ -15,6 +15,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.forms.arrays import Array
@@ -55,7 +56,7 @@ def snap_through(contact: Interfaces, part: Callable[[float], None]) -> None:
     raise SolveError(f"bonds snap, and do not come to rest in {MAX_PARTS} parts")
 
 
-def snap_through_work(problem: Problem) -> Array | None:
+def snap_through_work(problem: Problem, terms: Terms) -> Array | None:
     """External work and energy set free, (2,) pJ, in a part with a snap-through; None without one. Collective.
 
     Along the straight line from the last converged state these are the work of reactions and loads, and minus that of
@@ -64,7 +65,7 @@ def snap_through_work(problem: Problem) -> Array | None:
     external work is uncertain by. Work that is rounding is none: bodies that are apart, all of whose energies are
     rounding, were halved to the end in each step, which then took ten times as long as one in contact.
     """
-    contact = problem.contact
+    contact = terms.contact
     if contact is None or not contact.adhesive:
         return None
     end = problem.state.copy()
@@ -79,7 +80,7 @@ def snap_through_work(problem: Problem) -> Array | None:
         x = (1.0 - share) * problem.converged_state + share * end
         problem.residual(x, reduced, without_viscosity)
         held = unknowns.displacements(problem.residual_with_reactions) * change[: len(fixed)] * fixed
-        applied = displacements(problem.terms.loads.vector) * change
+        applied = displacements(terms.loads.vector) * change
         outside, free = held.sum() - applied.sum(), -(displacements(reduced) * change).sum()
         return parallel.total(problem.comm, np.array([outside, free]))
 

@@ -17,6 +17,7 @@ from typing import Protocol
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.solver.outcome import NewtonReport, SolveError
 
 log = logging.getLogger("piezomat")
@@ -50,15 +51,16 @@ class StabilizationContinuation:
     on there: two crossed fibers under a plane by force take 2 iterations for each spring instead of 4.
     """
 
-    def __init__(self, problem: Problem, newton: Solve) -> None:
+    def __init__(self, problem: Problem, terms: Terms, newton: Solve) -> None:
         self.problem = problem
+        self.stabilization, self._loads, self._bulk = terms.stabilization, terms.loads, terms.bulk
         self.newton = newton
-        if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not problem.terms.loads.exist:
+        if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not terms.loads.exist:
             self.set_factor(STIFFER)
 
     def set_factor(self, factor: float) -> None:
         """Make the springs `factor` times as stiff as the weak ones."""
-        springs = self.problem.terms.stabilization
+        springs = self.stabilization
         if factor != springs.factor:
             self.problem.change_tangent(lambda matrix: springs.set_factor(factor, matrix))
 
@@ -74,15 +76,15 @@ class StabilizationContinuation:
             if self._load_share() <= LARGEST_LOAD_SHARE:
                 return
         except SolveError as error:
-            if not (problem.terms.loads.exist or problem.model.has_unconstrained_bodies):
+            if not (self._loads.exist or problem.model.has_unconstrained_bodies):
                 raise
             log.info("loose bodies: %s", error)
         problem.return_to_converged_state()
         problem.pair(search_radius)
-        if problem.terms.loads.exist:
+        if self._loads.exist:
             self._reduce(search_radius, prescribed, report)
         else:
-            self.set_factor(STIFFER if problem.terms.stabilization.factor == 1.0 else 1.0)
+            self.set_factor(STIFFER if self.stabilization.factor == 1.0 else 1.0)
             self._solve(search_radius, prescribed, report)
 
     def _solve(self, search_radius: float, prescribed: float, report: NewtonReport, *, settled: bool = False) -> None:
@@ -91,13 +93,13 @@ class StabilizationContinuation:
         self.newton(search_radius, report, settled=settled)
         if self._has_flown(prescribed):
             raise SolveError(f"a body has flown: {FLOWN:g} of the thinnest one's thickness in one step")
-        if problem.terms.stabilization.factor == STIFFER:
-            stored = sum(problem.terms.bulk.energies(problem.state).values())
-            if problem.terms.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
+        if self.stabilization.factor == STIFFER:
+            stored = sum(self._bulk.energies(problem.state).values())
+            if self.stabilization.work(problem.state) > LARGEST_ENERGY_SHARE * stored:
                 raise SolveError("the springs that hold loose bodies take too much of the energy")
 
     def _load_share(self) -> float:
-        return self.problem.terms.stabilization.load_share(self.problem.state, self.problem.terms.loads.vector)
+        return self.stabilization.load_share(self.problem.state, self._loads.vector)
 
     def _release(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:
         """Let the springs go and solve again, as often as they carry a share of forces that must be exact."""
@@ -107,7 +109,7 @@ class StabilizationContinuation:
         for _ in range(MAX_RELEASES):
             if self._load_share() <= RELEASED:
                 return
-            problem.terms.stabilization.release(problem.state)
+            self.stabilization.release(problem.state)
             self._solve(search_radius, prescribed, report, settled=True)
 
     def _reduce(self, search_radius: float, prescribed: float, report: NewtonReport) -> None:

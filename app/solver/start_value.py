@@ -11,6 +11,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
+from piezomat.contact.interfaces import Interfaces
 from piezomat.discretization.evaluation_mode import EvaluationMode
 from piezomat.solver.active_set_prediction import ActiveSetPrediction
 from piezomat.solver.convergence import Convergence
@@ -26,12 +27,14 @@ class StartValue:
     def __init__(
         self,
         problem: Problem,
+        contact: Interfaces | None,
         linear: LinearSolver,
         snes: PETSc.SNES,
         convergence: Convergence,
         prediction: ActiveSetPrediction,
     ) -> None:
         self.problem = problem
+        self._contact = contact
         self.linear = linear
         self.snes = snes
         self.convergence = convergence
@@ -46,7 +49,7 @@ class StartValue:
         closely: with the close tolerance of a Krylov solver, not that of a start value.
         """
         problem, right, step = self.problem, self._right, self._change
-        settle(problem, mode)
+        settle(problem, self._contact, mode)
         fixed = problem.model.constraints.fixed
         self.linear.equations.residual(problem.state, right, mode)
         right.scale(-1.0)

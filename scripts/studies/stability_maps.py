@@ -109,7 +109,7 @@ def patch(method: Method, ratio: float, factor: float) -> Scene:
 
 def patch_error(run: Run) -> float:
     """Root mean square of the error of the normal stress in the blocks, over that of blocks and penalty in series."""
-    passes = run.problem.contact.surface_pairs
+    passes = run.contact.surface_pairs
     penalty = sum(p.share * float(p.points.weight @ p.law.penalties[0]) for p in passes)  # of a width of 1 um
     exact = -SHORTENING / (1.0 + YOUNG / penalty)
     mean = dolfinx.fem.form((run.state[1].dx(1) - exact) ** 2 * ufl.dx)

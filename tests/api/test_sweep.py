@@ -69,7 +69,7 @@ def test_an_interrupted_case_goes_on(tmp_path: Path) -> None:
     class Stopped(Exception):
         pass
 
-    def stop(problem: Any, row: dict[str, Any]) -> None:
+    def stop(problem: Any, contact: Any, row: dict[str, Any]) -> None:
         if row["step"] == 3:
             raise Stopped
 

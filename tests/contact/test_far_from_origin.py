@@ -102,7 +102,7 @@ def test_planes(comm: MPI.Comm, shared_tmp_path: Path, dimension: int) -> None:
             output={"fields": "none", "picture": False},
         )
         found.append(run(scene, comm))
-        points = contact_points(found[-1].problem.contact, found[-1].problem.model)
+        points = contact_points(found[-1].contact, found[-1].problem.model)
         high = comm.allreduce(points.position[:, dimension - 1].max(initial=-np.inf), op=MPI.MAX)
         assert high == pytest.approx(far + 0.99, abs=1e-3)
     assert abs(found[0].history[-1]["charge@lid"]) > 0.0

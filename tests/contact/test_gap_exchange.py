@@ -54,7 +54,7 @@ def test_layers_and_an_open_gap_are_capacitors_in_series(
 ) -> None:
     """And nothing passes beside the layers: their sides do not face each other."""
     finished = run(plates(dimension, gap, mesh={"order": order, "cells": "tensor"}), comm)
-    law = finished.problem.contact.surface_pairs[0].law
+    law = finished.contact.surface_pairs[0].law
     row, length = finished.history[-1], np.hypot(gap, summand(law, Medium).closed_gap)
     capacitance = 1.0 / (1.0 / PERMITTIVITY + length / VACUUM_PERMITTIVITY)
     assert row["charge@top"] == pytest.approx(capacitance, rel=1e-8)

@@ -46,7 +46,7 @@ def answer(history: Rows) -> np.ndarray:
 def shared(result: Run) -> int:
     """Number of pressed points that several facets share."""
     count = 0
-    for p in result.problem.contact.surface_pairs:
+    for p in result.contact.surface_pairs:
         count += int((p.projection.gap[p.shared.row] < 0.0).sum())
     return result.problem.comm.allreduce(count)
 

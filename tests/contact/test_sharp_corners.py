@@ -115,8 +115,8 @@ def test_a_corner_on_a_plane(tilt: float, tmp_path: Path) -> None:
 def test_flat_faces_keep_their_points() -> None:
     """Blocks on each other, whose edges are aligned or not."""
     finished = run(blocks(contact={"method": "point"}), MPI.COMM_SELF)
-    assert not any(p.closed.any() for p in finished.problem.contact.surface_pairs)
-    assert all(p.sharp.any() for p in finished.problem.contact.surface_pairs)
+    assert not any(p.closed.any() for p in finished.contact.surface_pairs)
+    assert all(p.sharp.any() for p in finished.contact.surface_pairs)
 
 
 @pytest.mark.parametrize("name", ["line2", "line3", "tri3", "tri6", "quad4", "quad9"])

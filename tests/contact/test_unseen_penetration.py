@@ -50,7 +50,7 @@ def test_edges_that_no_point_sees(
     # The faces beside an edge are at 45 degrees to the motion.
     assert row[f"max_penetration@{pair}"] == pytest.approx((DEPTH - 1e-9) / 2.0**0.5, rel=1e-6)
     assert row[f"contact_force_z@{pair}"] == 0.0
-    found = unseen_penetration(finished.problem.contact)
+    found = unseen_penetration(finished.contact)
     assert list(found) == [pair] and "edges that cross lie up to 0.014 um" in found[pair]
     warnings = [line for line in capfd.readouterr().out.splitlines() if "no contact point presses" in line]
     assert len(warnings) == (comm.rank == 0)
@@ -93,5 +93,5 @@ def test_a_coarse_disc_on_a_plane(tmp_path: Path) -> None:
     )
     finished = run(scene, MPI.COMM_SELF)
     assert finished.history[-1]["max_penetration@floor"] == pytest.approx(depth, rel=1e-6)
-    (text,) = unseen_penetration(finished.problem.contact).values()
+    (text,) = unseen_penetration(finished.contact).values()
     assert '"floor": nodes lie up to 0.025 um (0.065 of a facet)' in text

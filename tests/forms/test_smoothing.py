@@ -152,8 +152,8 @@ def test_tangent_is_the_derivative_of_the_residual(name: str, method: str, rng: 
     scene = pressed(method, geometry, "small")
     if name == "planes":
         scene = Scene(**{**scene.model_dump(), "planes": [{"name": "lid", "point": [0.0, 0.06], "normal": [0, -1.0]}]})
-    problem = run(scene, MPI.COMM_SELF).problem
-    contact, x = problem.contact, problem.state.copy()
+    finished = run(scene, MPI.COMM_SELF)
+    contact, x = finished.contact, finished.problem.state.copy()
     contact.detect(x, 0.1)
     change = x.duplicate()
     change.array[:] = rng.normal(size=len(change.array_r))

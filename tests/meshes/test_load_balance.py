@@ -75,4 +75,4 @@ def test_bodies_touch_wherever_their_points_are_evaluated(comm: MPI.Comm) -> Non
     """Also the master, of which the rank that evaluates the points may hold no cell."""
     scene = pressed(2, contact={"pairs": [["upper_contact", "lower_contact"]], "passes": 1})
     result = run(scene, comm, partition=a_body_a_rank)
-    assert result.problem.contact.touching_bodies() == {0, 1}
+    assert result.contact.touching_bodies() == {0, 1}

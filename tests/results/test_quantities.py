@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from piezomat.assembly.problem import Problem
-from piezomat.assembly.terms import Terms
 from piezomat.contact.setup import interfaces_of
 from piezomat.discretization.model import Model
 from piezomat.meshes.body_mesh import create
@@ -16,7 +14,6 @@ from piezomat.results.contact_totals import PairTotals
 from piezomat.results.quantities import GROUPS, columns, pair_columns
 from piezomat.scene import Scene
 from piezomat.simulation import run
-from piezomat.usage import Timer
 
 QUIET = {"fields": "none", "picture": False}
 
@@ -38,11 +35,7 @@ def half_discs(**sections: object) -> Scene:
 
 def columns_of(scene: Scene) -> list[str]:
     model = Model(scene, create(MPI.COMM_SELF, scene.geometry, scene.sizes))
-    problem = Problem(model, Terms.of(model, interfaces_of(model)), Timer())
-    try:
-        return columns(problem)
-    finally:
-        problem.close()
+    return columns(model, interfaces_of(model))
 
 
 EFFORT = ["newton", "linear_solves", "krylov", "cutbacks", "seconds"]
@@ -85,7 +78,7 @@ def test_columns_without_potential_and_contact() -> None:
 def test_a_row_has_a_value_for_each_column(comm: MPI.Comm) -> None:
     finished = run(half_discs(), comm)
     (row,) = finished.history
-    assert list(row) == columns(finished.problem)
+    assert list(row) == columns(finished.model, finished.contact)
     assert {type(value) for value in row.values()} == {int, float}
     # What the plane exerts is what the lower boundary bears, and what one body exerts on the other.
     assert row["force_y@lid"] == pytest.approx(-row["force_y@bottom"], rel=1e-6) and row["force_y@lid"] < 0.0

@@ -88,7 +88,7 @@ def test_what_is_linear_is_one_linear_solve(comm: MPI.Comm) -> None:
     finished = run(bar("bar", {"on": "tip", "traction": [5.0, 0.0]}, load={"steps": [3]}), comm)
     effort = [[row[name] for name in ("newton", "linear_solves", "krylov", "cutbacks")] for row in finished.history]
     assert effort == [[1, 1, 1, 0]] * 3
-    assert finished.problem.contact is None
+    assert finished.contact is None
     about_contact = ("contact_force", "contact_area", "bonded", "max_")
     assert not [name for name in finished.history[0] if name.startswith(about_contact)]
 
@@ -363,7 +363,7 @@ def test_summary(comm: MPI.Comm, shared_tmp_path: Path) -> None:
     assert summary["peak_memory_mb"] > 10 * comm.size
     loads = summary["shares"]
     assert sum(loads["dofs"]) == summary["dofs"] and min(loads["memory_mb"]) > 10
-    points = sum(len(p.near_points) for p in finished.problem.contact.point_sets)
+    points = sum(len(p.near_points) for p in finished.contact.point_sets)
     assert sum(loads["contact_points"]) == comm.allreduce(points) > 0
     assert all(len(values) == comm.size for values in loads.values())
     assert {"piezomat", "dolfinx", "petsc", "gmsh", "numpy", "python", "mpi"} <= set(summary["versions"])

@@ -47,9 +47,9 @@ class FailsAt:
 
 def energies(stepper: Stepper) -> dict[str, float]:
     """Energies after the first step. Collective."""
-    problem = stepper.problem
+    problem, terms = stepper.problem, stepper.terms
     stepper.advance(next(steps(SCENE.load)), lambda part: None)
-    return problem.terms.bulk.energies(problem.state) | problem.contact.energies()
+    return terms.bulk.energies(problem.state) | terms.contact.energies()
 
 
 SCENE = pressed(2, load={"steps": [1], "factors": {"press": [1.0]}}, solver={"max_cutbacks": 0, "tolerance": 1e-11})

@@ -83,16 +83,16 @@ def test_a_solve_that_fails_on_the_way_leaves_nothing_behind(comm: MPI.Comm) -> 
 def final_energies(scene: Scene, comm: MPI.Comm, fails_at: int) -> tuple[dict[str, float], int, int]:
     """Energies at the end of a run, number of cuts and of evaluations of the law, of which this one has failed."""
     whole: list[bool] = []
-    with stepper_of(scene, comm, lambda _: whole.append(not equations.is_reduced)) as stepper:
-        problem, equations = stepper.problem, stepper.newton.newton.linear.equations
+    with stepper_of(scene, comm, lambda *_: whole.append(not equations.is_reduced)) as stepper:
+        problem, terms, equations = stepper.problem, stepper.terms, stepper.newton.newton.linear.equations
         assert equations.can_be_reduced
         left = [fails_at]  # of all pairs together
-        for p in problem.contact.surface_pairs:
+        for p in terms.contact.surface_pairs:
             p.law = FailsOnce((p.law,), left)
         found = [stepper.advance(step, lambda part: None) for step in steps(scene.load)]
         assert all(whole)  # every solve begins with the whole problem
         evaluations = fails_at - left[0]
-        energies = problem.terms.bulk.energies(problem.state) | problem.contact.energies()
+        energies = terms.bulk.energies(problem.state) | terms.contact.energies()
         return energies, sum(r.cutbacks for r in found), evaluations
 
 

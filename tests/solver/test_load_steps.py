@@ -8,6 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from piezomat.assembly.problem import Problem
+from piezomat.assembly.terms import Terms
 from piezomat.scene import Scene
 from piezomat.simulation import NotConverged, run
 from piezomat.solver.load_steps import Step
@@ -41,7 +42,7 @@ def test_a_part_that_has_failed_is_not_tried_again_as_it_is() -> None:
     """Half of a share larger than what is left of the step may still be all that is left."""
     tried, failed = [], []
 
-    def before(problem: Problem) -> None:
+    def before(problem: Problem, terms: Terms) -> None:
         done, target = (-v.min() / DOWN for v in (problem.converged_state.array_r, problem.prescribed_values))
         tried.append((done, target))
         if target - done > (0.6 if done < 1e-6 else 0.3):
@@ -58,9 +59,9 @@ def test_the_rest_of_a_step_snaps_as_a_part_of_its_size_would() -> None:
     """Parts grow from step to step and need not divide one: what is left at its end is small enough to snap."""
     snapped = []
 
-    def before(problem: Problem) -> None:
+    def before(problem: Problem, terms: Terms) -> None:
         target = -problem.prescribed_values.min() / DOWN
-        if problem.contact.viscous_regularization:
+        if terms.contact.viscous_regularization:
             snapped.append(target)
         elif target == pytest.approx(1.0):
             raise SolveError("bonds snap")

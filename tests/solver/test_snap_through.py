@@ -29,7 +29,7 @@ def test_steps_of_bodies_apart_cost_less_than_those_in_contact(dimension: int, a
     scene = pressed(dimension, contact={"adhesion": adhesion} if adhesion else {}, load=load, geometry=geometry)
     apart, touching = [], []
     with stepper_of(scene, MPI.COMM_SELF) as stepper:
-        contact, calls = stepper.problem.contact, []
+        contact, calls = stepper.terms.contact, []
         evaluate = contact.evaluate
 
         def counted(*arguments: Any, **keys: Any) -> Any:

@@ -184,7 +184,7 @@ def serial_history(name: str, comm: MPI.Comm) -> Rows:
 
 def cuts_contact(result: Run) -> bool:
     """Whether points that this rank evaluates are near facets that another one holds."""
-    for p in result.problem.contact.surface_pairs:
+    for p in result.contact.surface_pairs:
         meetings = zip(p.closest.candidates.facets, p.closest.candidates.points, strict=True)
         near = [p.facets.master.key[facets] for facets, points in meetings if len(points)]
         if not all(np.isin(keys, p.master.key).all() for keys in near):

@@ -73,7 +73,7 @@ def test_a_solve_equals_that_of_the_dense_elimination(dimension: int, solver: st
     with stepper_of(pressed(dimension, **keys), comm) as stepper:
         for step in steps(stepper.problem.model.scene.load):
             stepper.advance(step, lambda part: None)
-        problem, newton = stepper.problem, stepper.newton.newton
+        problem, contact, newton = stepper.problem, stepper.terms.contact, stepper.newton.newton
         image, fixed = constraints_by_place(problem)
         left = np.flatnonzero(~fixed & (image == np.arange(len(image))))
         transform = np.eye(len(image))[image][:, left]
@@ -85,7 +85,7 @@ def test_a_solve_equals_that_of_the_dense_elimination(dimension: int, solver: st
         problem.model.constraints.reduce(right)
         solve(problem, newton.linear, newton.snes, right, result, 1e-13)
         found = whole(comm, result)
-    assert problem.contact.penetration() > 0.0
+    assert contact.penetration() > 0.0
     scale = np.abs(expected).reshape(-1, dimension + 1).max(axis=0)
     errors = np.abs(found - expected).reshape(-1, dimension + 1).max(axis=0)
     assert (errors <= EXACT * scale).all()
