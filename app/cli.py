@@ -73,8 +73,8 @@ def _foreign(error: BaseException) -> str | None:
     if isinstance(error, OSError):
         return " ".join(str(error).split())
     if type(error).__module__.startswith("petsc4py"):
-        return f"PETSc: {' '.join(str(error).split())}"
-    return None
+        return f"PETSc: {' '.join(str(error).strip().splitlines()[-1].split())}"
+    return str(error) if type(error).__name__ == "LibraryError" else None
 
 
 def _log_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

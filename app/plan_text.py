@@ -36,6 +36,7 @@ def plan_text(scene: Scene, model: Model, contact: Interfaces | None) -> str:
         ("adhesion", _adhesion(scene.contact)),
         *_rigid(scene),
         *_planes(scene),
+        *_plates(model, contact),
         *_electrodes(model),
         ("load", _load(scene.load)),
         ("solution", _solution(model, contact)),
@@ -176,6 +177,17 @@ def _planes(scene: Scene) -> list[tuple[str, str]]:
             moves = f"pushed by {scene.push(plane)[1]:.4g} uN{'/um' if scene.dimension == 2 else ''}"
         notes.append(f"{plane.name} ({kind}, {moves}{f' times {plane.follows}' if plane.follows else ''})")
     return [("planes", ", ".join(notes))] if notes else []
+
+
+def _plates(model: Model, contact: Interfaces | None) -> list[tuple[str, str]]:
+    """What planes are with each other before anything moves, beside the bodies."""
+    unit, area = ("pC/(V um)", "um") if model.dim == 2 else ("pC/V", "um2")
+    notes = [
+        f"{p.first.plane.name} and {p.second.plane.name} ({p.capacitance:.3g} {unit}, {p.area:.4g} {area} that no body "
+        "covers)"
+        for p in (contact.plates if contact is not None else ())
+    ]
+    return [("plate capacitor", ", ".join(notes))] if notes else []
 
 
 def _electrodes(model: Model) -> list[tuple[str, str]]:

@@ -56,11 +56,12 @@ class PlateCapacitor:
 
     def energies(self) -> Array:
         """The `ENERGIES` (4,) of the last evaluation, pJ (2D: per um of depth); zero on other ranks."""
-        electric = 0.5 * self._capacitance * self._voltage**2 * self.here
+        electric = 0.5 * self.capacitance * self._voltage**2 * self.here
         return np.array([electric * (name == "electric") for name in ENERGIES])
 
     @property
-    def _capacitance(self) -> float:
+    def capacitance(self) -> float:
+        """Of the free area at the present distance, pC/V (2D: per um of depth)."""
         return self.permittivity * self.area / _distance(*self.planes)
 
     def nodes(self, count: int) -> Integers:
@@ -74,7 +75,7 @@ class PlateCapacitor:
         """Terms of a pair with `count` nodes; the planes take up its force and charge."""
         if not self.here:
             return ContactTerms.none(count, at.block_size, tangent=tangent)
-        g, c, voltage = _distance(*self.planes), self._capacitance, self._voltage
+        g, c, voltage = _distance(*self.planes), self.capacitance, self._voltage
         pull = 0.5 * c / g * voltage**2
         for plane, charge in zip(self.planes, (-c * voltage, c * voltage), strict=True):
             plane.add(-pull * plane.normal, charge)

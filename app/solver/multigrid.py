@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from piezomat.assembly.problem import Problem
 from piezomat.discretization.evaluation_mode import COMPLETE, EvaluationMode
 from piezomat.discretization.model import Model
 from piezomat.discretization.rigid_bodies import rigid_modes
+from piezomat.forms.arrays import Booleans
 from piezomat.scene.sections import Solver
 from piezomat.solver import coarse_space
 from piezomat.solver.callbacks import CallbackErrors
@@ -49,8 +51,8 @@ class Multigrid:
         self.equations = WholeProblem(problem)
         self.callback_errors = CallbackErrors()
         self._operator = TangentOperator(problem, self.callback_errors)
-        self._rigid = _near_nullspace(problem.model, problem.comm)
         self._loose = problem.model.has_unconstrained_bodies
+        self._rigid = _near_nullspace(problem.model, problem.comm, apart=problem.model.electric and not self._loose)
         self._interpolation: PETSc.Mat | None = None
         self._matrix: PETSc.Mat | None = None
         self._rate = 0.0  # Krylov iterations a digit in the first solve with the present preconditioner
@@ -82,10 +84,11 @@ class Multigrid:
         model = self.problem.model
         if not model.electric:
             return
-        u = PETSc.IS().createGeneral(model.unknowns.displacement_numbers(), comm=self.problem.comm)
+        u_numbers, phi_numbers = _fields(model, apart=not self._loose)
+        u = PETSc.IS().createGeneral(u_numbers, comm=self.problem.comm)
         u.setBlockSize(model.dim)
         u.compose("nearnullspace", self._rigid)
-        phi = PETSc.IS().createGeneral(model.unknowns.potential_numbers(), comm=self.problem.comm)
+        phi = PETSc.IS().createGeneral(phi_numbers, comm=self.problem.comm)
         self._displacements = u
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.FIELDSPLIT)
@@ -149,14 +152,39 @@ class Multigrid:
         return split
 
 
-def _near_nullspace(model: Model, comm: MPI.Comm) -> PETSc.NullSpace:
-    """Orthonormal rigid modes of the whole model; what moves as one by a force takes part in translations."""
+def _is_still(model: Model) -> Booleans:
+    """Which of this rank's nodes (owned + references_here,) are reference nodes of potentials alone."""
+    unknowns = model.unknowns
+    still = np.arange(unknowns.owned + unknowns.references_here) >= unknowns.owned
+    still[model.constraints.motions.local // unknowns.block] = False
+    return still
+
+
+def _fields(model: Model, *, apart: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Global numbers of the owned unknowns in the field of displacements and in that of potentials.
+
+    apart: the displacements of reference nodes of potentials alone, which are zero, are in the second. In the matrix
+    they have places beside all nodes of an electrode, and PETSc 3.18 has room for 4,096 of them when it makes a graph
+    of nodes, as it does where unknowns come in blocks.
+    """
+    u, phi = model.unknowns.displacement_numbers(), model.unknowns.potential_numbers()
+    still = np.repeat(_is_still(model) & apart, model.dim)
+    return u[~still], np.sort(np.concatenate([phi, u[still]]))
+
+
+def _near_nullspace(model: Model, comm: MPI.Comm, *, apart: bool) -> PETSc.NullSpace:
+    """Orthonormal rigid modes of the whole model; what moves as one by a force takes part in translations.
+
+    apart: see `_fields`.
+    """
     unknowns, constraints = model.unknowns, model.constraints
     modes = rigid_modes(unknowns.coordinates[: unknowns.owned])
     modes = np.concatenate([modes, np.zeros((unknowns.references_here, *modes.shape[1:]))])
     local = constraints.motions.local
     node, component = local // unknowns.block, local % unknowns.block
     modes[node, component, : model.dim] = constraints.motion_directions[: len(local)]
+    if apart:
+        modes = modes[~_is_still(model)]
     vectors = []
     for k in range(modes.shape[2]):
         vector = PETSc.Vec().createMPI((len(modes) * model.dim, None), bsize=model.dim, comm=comm)

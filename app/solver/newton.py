@@ -124,7 +124,8 @@ class Newton:
         self._report, first = report, len(report.residuals)
         before = self.linear.factor_solves
         try:
-            self._solve(search_radius, settled=settled)
+            with self._options.blamed():
+                self._solve(search_radius, settled=settled)
             report.note_converged(first)
         finally:
             self.linear.equations.discard()  # of a solve that has failed on the way
@@ -132,7 +133,8 @@ class Newton:
 
     def capacitance(self) -> Array | None:
         """Capacitance matrix of the electrodes at the problem's state, see `Capacitance`; None without any."""
-        return self._capacitance.matrix()
+        with self._options.blamed():
+            return self._capacitance.matrix()
 
     def _solve(self, search_radius: float, *, settled: bool) -> None:
         problem, report = self.problem, self._report
@@ -143,8 +145,7 @@ class Newton:
         self._mode, self._renewals = EvaluationMode(attraction=attraction, consistent=settled), 0
         self.watch.count()
         self.watch.end_step()
-        with self._options.blamed():
-            self.start_value.step(report, self._mode, closely=problem.is_linear or settled)
+        self.start_value.step(report, self._mode, closely=problem.is_linear or settled)
         started = report.iterations
         if not self._options_are_checked:  # the parts of the linear solver are set up now, which the others are read by
             self._options.check_used(problem.comm, ("",))

@@ -14,9 +14,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from piezomat.scene.errors import SceneError, named, shown
+from piezomat.solver.outcome import LibraryError
 
 _library = ctypes.CDLL(petsc4py.PETSc.__file__)  # PETSc itself is linked to it
 _prefixes = (f"piezomat{number}_" for number in itertools.count())  # one run's options are not the next one's
+OUT_OF_MEMORY = 55  # PETSC_ERR_MEM
 # Options that nothing reads before the solve that they print.
 _PRINTED = re.compile("view|monitor|reason|print")
 
@@ -43,13 +45,13 @@ class SolverOptions:
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """Context in which an error of PETSc is one of the scene's options, if it has any."""
+        """Context in which an error of PETSc is one of the scene's options, if it has any; else see `given_up`."""
         try:
             yield
         except PETSc.Error as error:
             self.remove()
             if not self._chosen:
-                raise
+                raise given_up(error) from error
             allowed = f"options that PETSc takes; it says: {reason(error)}"
             raise SceneError("solver.petsc", shown(self._chosen), allowed) from None
 
@@ -77,6 +79,13 @@ def _kept(own: dict[str, Any], chosen: dict[str, Any]) -> dict[str, Any]:
     other = [name for name in chosen if name.endswith("pc_type") and chosen[name] != own.get(name, chosen[name])]
     gone = tuple(name.removesuffix("pc_type") + start for name in other for start in ("pc_mg_", "mg_"))
     return {name: value for name, value in own.items() if not gone or not name.startswith(gone)}
+
+
+def given_up(error: PETSc.Error) -> Exception:
+    """The error to raise in place of one of PETSc: with its last words, without the list of its functions."""
+    if error.ierr == OUT_OF_MEMORY:
+        return MemoryError("there is not enough memory")
+    return LibraryError(f"PETSc gave up (its error {error.ierr}): {reason(error)}; another solver.kind may do")
 
 
 def reason(error: PETSc.Error) -> str:

@@ -15,6 +15,10 @@ ERRATIC = (
 SINGULAR = "the tangent matrix is singular: something can move, or charge up, without resistance"
 
 
+class LibraryError(RuntimeError):
+    """PETSc, or a library that it calls, gave up; the message has its words. It may be raised on one rank alone."""
+
+
 class SolveError(RuntimeError):
     """A load level could not be solved; the message is the reason in words. Raised on all ranks."""
 

@@ -241,6 +241,8 @@ def draw_cooperativity(rows: list[dict[str, str]], path: Path) -> None:
             axis.grid(True, color="#e4e4e4", linewidth=0.6)
     axes[0].set_xscale("log", base=2)
     axes[0].set_yscale("log", base=2)
+    axes[0].set_xticks([2**n for n in range(5)])
+    axes[0].set_yticks([4.0**n for n in range(-2, 3)])
     for ticks in (axes[0].xaxis, axes[0].yaxis):
         ticks.set_major_formatter("{x:g}")
     axes[0].set_ylabel("over that of one fiber")

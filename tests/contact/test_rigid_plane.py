@@ -204,6 +204,8 @@ def test_planes_are_a_plate_capacitor_where_no_body_lies_between_them(comm: MPI.
     for plane, sign in (("lid", 1.0), ("floor", -1.0)):
         column = f"force_{up}@{plane}"
         assert row[column] - bare[column] == pytest.approx(sign * pull, rel=1e-5)
+    assert f"floor and lid ({free / HEIGHT:.3g} pC/" in plan(facing(dimension, 4.0 * covered), comm)
+    assert "plate capacitor" not in plan(facing(dimension, None), comm)
     assert bare["max_field@lid"] == 0.0 and row["max_field@lid"] == pytest.approx(VOLTAGE / distance, rel=1e-12)
 
 
