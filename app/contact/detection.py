@@ -21,8 +21,6 @@ from piezomat.forms.arrays import Array, Integers
 from piezomat.meshes import parallel
 from piezomat.meshes.contact.global_search import share_facets
 
-STAYS = 1e-3  # facets: motion up to which surfaces face across open gaps what they did
-
 
 class Detection:
     """All surface pairs and rigid planes of a run on this rank. Every method is collective.
@@ -112,7 +110,7 @@ class Detection:
             return False
         position = self.nodes.reference + self.nodes.gather(state)[:, : self.dim]
         moved = parallel.largest(self.comm, np.abs(position - self._partners_at).max(initial=0.0)[None])[0]
-        if moved <= STAYS * self.mean_facet_size:
+        if moved == 0.0:
             return False
         self._partners_at = position
         for p in pairs:

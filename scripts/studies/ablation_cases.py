@@ -174,7 +174,7 @@ OFF = [
     ),
     (
         "solver.newton",
-        {"MAX_RENEWALS": 0},
+        {"MAX_RENEWALS": 0, "MAX_RENEWALS_IN_ALL": 0},
         "what surfaces face not renewed",
         "charges do not depend on the size of the step",
         ALL_BUT_MATS,
@@ -221,7 +221,7 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
         FEW,
         {"DRIFT": "motion after which points are searched for", "MARGIN": "how long closest points are kept"},
     ),
-    ("contact.detection", FEW, {"STAYS": "motion after which what surfaces face is found anew"}),
+    ("solver.newton", FEW, {"RENEWAL": "what surfaces face is found anew where it changes little"}),
     (
         "contact.setup",
         FEW,
