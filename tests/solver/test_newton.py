@@ -57,8 +57,9 @@ def test_the_end_of_a_step_is_quadratic(changes: dict[str, Any], monkeypatch: py
     """Where the set of points in contact has settled, the order is that of Newton's method or better."""
     # With predictions there are too few iterations to tell an order from.
     monkeypatch.setattr(active_set_prediction, "MAX_PREDICTIONS", 0)
-    # What surfaces face, found anew in each iteration, adds a residual of its own.
-    monkeypatch.setattr(newton, "MAX_RENEWALS", 1)
+    # What surfaces face, found anew, adds a residual of its own.
+    monkeypatch.setattr(newton, "MAX_RENEWALS", 0)
+    monkeypatch.setattr(newton, "MAX_RENEWALS_IN_ALL", 0)
     residuals = [solve.residuals for report in reports(pressed(**changes), MPI.COMM_SELF) for solve in report.solves]
     last = [order[-1] for order in map(orders, residuals) if order]
     assert len(last) >= 1 and max(last) >= 1.8
