@@ -103,10 +103,13 @@ def test_few_iterations(name: str) -> None:
     assert column(history, "cutbacks").max() == 0
 
 
-@pytest.mark.parametrize(("name", "axis"), [("fiber_array", "y"), ("cross_ply", "z"), ("random_mat", "z")])
-def test_what_presses_on_many_fibers_stands_on_the_floor(name: str, axis: str) -> None:
+# Of the planes of the mat five fibers cover a third; the rest is a capacitor of air beside them.
+@pytest.mark.parametrize(
+    ("name", "axis", "voltage"), [("fiber_array", "y", 1.0), ("cross_ply", "z", 1.0), ("random_mat", "z", 0.2)]
+)
+def test_what_presses_on_many_fibers_stands_on_the_floor(name: str, axis: str, voltage: float) -> None:
     last = short(name)[-1]
-    assert last[f"force_{axis}@lid"] < -10.0 and last.get("voltage@lid", last["mean_potential@lid"]) > 1.0
+    assert last[f"force_{axis}@lid"] < -10.0 and last["voltage@lid"] > voltage
     assert last[f"force_{axis}@floor"] == pytest.approx(-last[f"force_{axis}@lid"], rel=1e-5)
     assert last["stabilization"] < 1e-3 * last["elastic"]
 
