@@ -14,11 +14,6 @@ from piezomat.forms.materials import VOIGT
 Kinematics = Literal["small", "finite"]
 
 
-def strain_components(dim: int) -> int:
-    """Number of independent strains: 3 in 2D, 6 in 3D."""
-    return dim * (dim + 1) // 2
-
-
 def strain_and_field(w: Any, kinematics: Kinematics) -> Any:
     """UFL vector s: Voigt strain (engineering shears) and, if w has psi, -Grad(psi) = E / potential_scale.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from piezomat.forms import fenicsx
 from piezomat.forms.arrays import Array
 from piezomat.meshes.builders.sizes import MeshSizes
+from piezomat.meshes.cell_ranks import cell_ranks
 from piezomat.meshes.gmsh_io import extract
 from piezomat.meshes.gmsh_io import model as gmsh_model
 from piezomat.meshes.gmsh_io.extract import Arrays, not_facets
@@ -59,7 +60,7 @@ def create(
     """Build or read a mesh on rank 0 and distribute it. Collective.
 
     `save` writes it as MSH 4.1 too. `partition(centroids, bodies, ranks)` is called on rank 0 with arrays
-    (cells, dim) and (cells,) and returns the rank of each cell; without it each rank takes equally many cells.
+    (cells, dim) and (cells,) and returns the rank of each cell, by default `cell_ranks`.
     Raises MeshError on all ranks.
     """
     with blaming(geometry.file) if isinstance(geometry, MeshFile) else nullcontext():
@@ -104,9 +105,9 @@ def distribute(comm: MPI.Comm, arrays: Arrays | None, partition: Partition | Non
     dim = head.dimension
 
     destinations = None
-    if comm.rank == 0 and partition is not None:
+    if comm.rank == 0:
         centroids = mine.x[mine.cells].mean(axis=1)
-        destinations = np.asarray(partition(centroids, mine.cell_body, comm.size), np.int32)
+        destinations = np.asarray((partition or cell_ranks)(centroids, mine.cell_body, comm.size), np.int32)
     mesh = fenicsx.create_mesh(comm, mine.cells, mine.x, head.cell_type, head.order, destinations)
 
     # Rank 0 sends each rank the data of its cells, so that no rank needs memory for all.

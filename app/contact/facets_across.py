@@ -79,13 +79,13 @@ def _pressed(contact: Interfaces, p: ContactPoints) -> _Pressed:
     """The facets of this rank that are pressed, each once for each pair that it meets."""
     rows = p.projected_points
     pressed = np.flatnonzero(p.response.traction < 0.0)
-    rows, slope, x = rows[pressed], p.response.traction[pressed], p.position[pressed]
+    rows, traction, x = rows[pressed], p.response.traction[pressed], p.position[pressed]
     number, facet = p.numbers_in_results(contact.pairs)[pressed], p.points.facet[rows]
     normal = point_normals(p.slave.kind, p.points.xi[rows], p.slave.reference[facet], p.slave.orientation[facet])
     area = p.points.area[rows]
     squares = np.einsum("mi,mj->mij", x, x).reshape(len(x), contact.dim**2)
     moments = area[:, None] * np.hstack([x, squares, normal])
-    values = np.column_stack([-slope * p.points.weight[rows] * p.share, area, moments])
+    values = np.column_stack([-traction * p.points.weight[rows] * p.share, area, moments])
     keys, group = np.unique(np.stack([number, facet], axis=1), axis=0, return_inverse=True)
     sums = np.zeros((len(keys), values.shape[1]))
     np.add.at(sums, group.ravel(), values)

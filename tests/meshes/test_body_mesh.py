@@ -76,7 +76,7 @@ def all_on_the_last(centroids: np.ndarray, bodies: np.ndarray, ranks: int) -> np
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("partition", [None, stripes, all_on_the_last], ids=["graph", "stripes", "last"])
+@pytest.mark.parametrize("partition", [None, stripes, all_on_the_last], ids=["bodies", "stripes", "last"])
 @pytest.mark.parametrize(("shape", "cells", "order"), CASES)
 def test_measures_and_parts_are_the_same_on_any_number_of_ranks(
     comm: MPI.Comm, shape: Shape, cells: str, order: int, partition: Callable | None
