@@ -32,9 +32,6 @@ from piezomat.usage import give_back_memory
 # Distance of the surfaces whose nodes are candidates at first, over the largest prescribed motion: half of it would do
 # for equal bodies (Hertz), and more where they give.
 CANDIDATE_DISTANCE = 0.75
-# Relative tolerance: if the interior right-hand side is a multiple of the previous one, its stored solution is scaled
-# instead of solving again.
-SAME_DIRECTION = 1e-9
 BALANCED = 1e-10  # interior residual, share of the whole, that is rounding
 
 
@@ -138,7 +135,6 @@ class Condensation:
         rows = [np.searchsorted(unknowns, numbers[at]) for at in places[1:]]
         self._reduced_rows = np.concatenate([np.zeros(0, np.int64), *rows])
         gathered = self.comm.gather((rows, complements, ~self._eliminated[self._kept], self._reduced_rows))
-        self._last_interior = np.zeros(first), np.zeros(len(self._kept))  # forces, and their effect on the candidates
         self._reduced: Array | None = None
         if gathered is not None:
             self._reduced = np.zeros((len(unknowns), len(unknowns)))
@@ -246,7 +242,7 @@ class Condensation:
         if not self.is_reduced:
             scale = float(parallel.largest(self.comm, np.array([np.abs(r).max(initial=0.0)]))[0])
             if not self._is_balanced(r, scale):
-                condensed = outer + self._interior_effect(r, scale)
+                condensed = outer + self._interior_effect(r)
         gathered = self.comm.gather((self._reduced_rows, condensed))
         whole = None
         if gathered is not None:
@@ -266,16 +262,11 @@ class Condensation:
         result.set(0.0)
         self._scatter.add(r, result)
 
-    def _interior_effect(self, r: Array, scale: float) -> Array:
-        """Effect of interior forces r on the candidates, -K_ci K_ii^-1 r_i; solved for once by equal load steps."""
+    def _interior_effect(self, r: Array) -> Array:
+        """Effect of interior forces r on the candidates, -K_ci K_ii^-1 r_i."""
         inner = r.copy()
         inner[self._kept] = 0.0
-        before, effect = self._last_interior
-        share = (inner @ before) / (before @ before) if before.any() else 0.0
-        if np.abs(inner - share * before).max(initial=0.0) > SAME_DIRECTION * scale:
-            share, effect = 1.0, self._factors.reduced(self._solve(inner)[self._kept])
-            self._last_interior = inner, effect
-        return share * effect
+        return self._factors.reduced(self._solve(inner)[self._kept])
 
     def _solve(self, right: Array) -> Array:
         self.factor_solves += 1

@@ -140,7 +140,6 @@ class Switch:
 
 
 ALL_BUT_MATS = tuple(name for name in CASES if name not in ("mat", "array of 54"))
-CONSTANT_BULK = ("discs 1e5", "discs 1e8", "discs, segment", "crossed fibers")
 ADHESIVE = ("bonds snap",)
 LOOSE = ("array", "array of 54", "array, 100 V", "array, by force", "mat")
 MULTIGRID = ("crossed, multigrid",)
@@ -182,13 +181,6 @@ OFF = [
     (SPRINGS, {"MANY_BODIES": 10**9}, "springs weak at first", "no try that fails where bodies are many", LOOSE),
     (SPRINGS, {"MANY_BODIES": 1}, "springs stiff at first", "weak springs take less energy", LOOSE),
     ("solver.load_steps", {"SNAP_CUTBACKS": 99}, "no snap-through", "bonds that break at once", ADHESIVE),
-    (
-        "solver.condensation",
-        {"SAME_DIRECTION": 0.0},
-        "stored interior not scaled",
-        "a solve less in each of equal steps",
-        CONSTANT_BULK,
-    ),
     ("solver.multigrid", {"AGED": inf}, "preconditioner kept for ever", "made anew as contact changes", MULTIGRID),
     ("solver.multigrid", {"AGED": 0.0}, "preconditioner made anew", "kept while it serves", MULTIGRID),
 ]
