@@ -1,12 +1,14 @@
 """Continuation of the stabilization: how stiff the springs on unconstrained bodies are while a load level is solved.
 
 A body that contact alone can hold is thrown about by Newton's method. Weak springs at all its unknowns, which start
-from the last converged state, keep the tangent regular. Where they do not hold a body, there are three ways:
+from the last converged state, keep the tangent regular. Each step is tried with them. Where they do not hold a body,
+there are two ways:
 
 - With loads, stiff springs are reduced from solve to solve, down to the weak ones, which carry none of the load.
-- Where forces on planes or rigid boundaries press, the springs are let go after each solve until they carry nothing.
 - Without, as in a mat pressed by planes, springs a hundred times stiffer stay, as long as they take next to no energy.
-  With many unconstrained bodies, some of which would nearly always be thrown about, they are there from the start.
+
+Where forces on planes or rigid boundaries press, the springs are let go after each solve until they carry nothing. What
+each of the three is worth is in the README of this folder.
 """
 
 from __future__ import annotations
@@ -27,7 +29,6 @@ LARGEST_LOAD_SHARE = 1e-4  # of the loads that the weak springs may carry
 INITIAL_FACTOR, LARGEST_REDUCTION, SMALLEST_REDUCTION = 1e7, 10.0, 1.3
 HELD = 0.05  # share of the loads that springs carry, below which contact holds the bodies: weak ones are tried at once
 FLOWN = 0.5  # share of the least thickness by which a body may move further in a step than what is prescribed
-MANY_BODIES = 50  # unconstrained bodies, from which springs are stiffer from the start
 # Factor of springs that stay stiffer, and the share of the stored energy that they may take.
 STIFFER, LARGEST_ENERGY_SHARE = 100.0, 5e-4
 RELEASED = 1e-10  # share of the forces on planes and rigid boundaries that springs may carry, let go so often at most
@@ -55,8 +56,6 @@ class StabilizationContinuation:
         self.problem = problem
         self.stabilization, self._loads, self._bulk = terms.stabilization, terms.loads, terms.bulk
         self.newton = newton
-        if problem.model.unconstrained[:, 0].sum() >= MANY_BODIES and not terms.loads.exist:
-            self.set_factor(STIFFER)
 
     def set_factor(self, factor: float) -> None:
         """Make the springs `factor` times as stiff as the weak ones."""

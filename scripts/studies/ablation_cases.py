@@ -62,12 +62,6 @@ def _array(voltage: float | None = None) -> Scene:
     return Scene(**scene)
 
 
-def _many() -> Scene:
-    """So many fibers that springs are stiffer from the start."""
-    shape = ["geometry.columns=9", "geometry.rows=6", "mesh.contact_size=0.16", "mesh.size=0.3", "load.steps=[1]"]
-    return _shipped("fiber_array", *shape)
-
-
 def _multigrid() -> Scene:
     """Crossed fibers, solved with multigrid."""
     scene = scene_of_shape("crossed_fibers", 0.06, 0.24, {"normal_penalty": 1e5}, steps=2)
@@ -100,7 +94,6 @@ CASES = {
     "crossed fibers": lambda: scene_of_shape("crossed_fibers", 0.08, 0.3, {"normal_penalty": 1e5}, steps=2),
     "crossed, multigrid": _multigrid,
     "array": _array,
-    "array of 54": _many,
     "array, 100 V": lambda: _array(100.0),
     "array, by force": _pushed,
     "mat": lambda: _shipped(
@@ -139,9 +132,8 @@ class Switch:
                 setattr(other, name, before)
 
 
-ALL_BUT_MATS = tuple(name for name in CASES if name not in ("mat", "array of 54"))
+ALL_BUT_MATS = tuple(name for name in CASES if name != "mat")
 ADHESIVE = ("bonds snap",)
-LOOSE = ("array", "array of 54", "array, 100 V", "array, by force", "mat")
 MULTIGRID = ("crossed, multigrid",)
 PUSHED = ("array", "array, by force")
 FEW = ("discs 1e8", "array")
@@ -178,8 +170,6 @@ OFF = [
         "charges do not depend on the size of the step",
         ALL_BUT_MATS,
     ),
-    (SPRINGS, {"MANY_BODIES": 10**9}, "springs weak at first", "no try that fails where bodies are many", LOOSE),
-    (SPRINGS, {"MANY_BODIES": 1}, "springs stiff at first", "weak springs take less energy", LOOSE),
     ("solver.load_steps", {"SNAP_CUTBACKS": 99}, "no snap-through", "bonds that break at once", ADHESIVE),
     ("solver.multigrid", {"AGED": inf}, "preconditioner kept for ever", "made anew as contact changes", MULTIGRID),
     ("solver.multigrid", {"AGED": 0.0}, "preconditioner made anew", "kept while it serves", MULTIGRID),

@@ -84,15 +84,6 @@ def test_springs_are_stiffer_once_weak_ones_have_failed() -> None:
     assert not any(report.cutbacks for report in found)
 
 
-def test_many_unconstrained_bodies_have_stiffer_springs_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(continuation, "MANY_BODIES", 1)
-    weak = FailsWhileWeak()
-    with stepper_of(block(), MPI.COMM_SELF, weak) as stepper:
-        for step in steps(block().load):
-            stepper.advance(step, lambda part: None)
-    assert weak.factors == [continuation.STIFFER] * 3
-
-
 @pytest.mark.mpi
 def test_stiffer_springs_change_next_to_nothing(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = run(block(), comm).history
