@@ -181,12 +181,15 @@ def half_of_facing_halves(path: Path, *, size: float, radius: float, near: float
     _write(path, build)
 
 
-def bar_on_edge(path: Path, dimension: int, divisions: tuple[int, int], *, gap: float = 1e-9) -> None:
+def bar_on_edge(
+    path: Path, dimension: int, divisions: tuple[int, int], *, gap: float = 1e-9, tilt: float = 45.0
+) -> None:
     """In 2D a unit square `tool` that stands on its corner at the origin, over a block `base` of 2 x 1; quadrilaterals.
 
     In 3D two square bars of length 2 that cross edge on edge at the origin, bricks. divisions: cells along a side of
     the square, and along one unit of the block's sides or along each bar. Groups: tool, base; top, bottom; and in 2D
-    `left` and `right`, the tool's sides at the corner, and `face` of the block.
+    `left` and `right`, the tool's sides at the corner, and `face` of the block. tilt: of `right` over the block,
+    degrees, in 2D.
     """
     n, other = divisions
     r = np.sqrt(0.5)
@@ -208,7 +211,8 @@ def bar_on_edge(path: Path, dimension: int, divisions: tuple[int, int], *, gap: 
 
     def build() -> None:
         if dimension == 2:
-            up = [(0.0, gap, 0.0), (r, r + gap, 0.0), (0.0, 2.0 * r + gap, 0.0), (-r, r + gap, 0.0)]
+            x, y = np.cos(np.radians(tilt)), np.sin(np.radians(tilt))
+            up = [(0.0, gap, 0.0), (x, y + gap, 0.0), (x - y, x + y + gap, 0.0), (-y, x + gap, 0.0)]
             face, lines = square(up, (n, n))
             group(2, [face], "tool")
             for name, members in (("right", lines[:1]), ("left", lines[3:]), ("top", lines[1:3])):

@@ -12,18 +12,20 @@ import numpy as np
 from piezomat.contact.closest_points import ClosestPoints, SearchLimits
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.surface_pair import SurfacePair
-from piezomat.forms.arrays import Array, Booleans, Integers
+from piezomat.forms.arrays import Array, Integers
 from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.integrals import SlavePoints, nodes_of
 from piezomat.meshes.contact.facet_bounds import TIE, near_pairs
 
-CLOSE = 0.25  # facets: a node may be inside the other body if a point of its facet has a gap below this
+# Nodes, those of sharp edges and vertices, and places where sharp edges cross.
+ROUND, CORNER, CROSSING = range(3)
+CLOSE = 0.5  # facets: a node may be inside the other body if a point of its facet has a gap below this
 PARALLEL = 0.1  # sine of the angle below which edges do not cross
 
 
 @dataclass(frozen=True)
 class PenetratingPlaces:
-    """Places inside another body: pair (k,), depth (k,), and size of their facets (k,), um; whether edges cross there.
+    """Places inside another body: pair (k,), depth (k,), and size of their facets (k,), um; what they are (k,).
 
     A depth is negative outside.
     """
@@ -31,7 +33,7 @@ class PenetratingPlaces:
     pair: Integers
     depth: Array
     facet_size: Array
-    crossing: Booleans
+    what: Integers
 
     @classmethod
     def of(cls, p: SurfacePair, pairs: Pairs, position: Array, depth: float) -> PenetratingPlaces:
@@ -52,7 +54,10 @@ class PenetratingPlaces:
         at = closest.near[found]
         facet = places.facet[at]
         pair, _ = p.pairs_of_facets(pairs, facet, closest.facet[found])
-        return cls(pair, -projection.gap, size[facet], at >= len(nodes.facet))
+        corner = nodes.place < p.sharp.shape[1]
+        corner[corner] = p.sharp[nodes.facet[corner], nodes.place[corner]]
+        what = np.append(np.where(corner, CORNER, ROUND), np.full(len(crossings.facet), CROSSING))
+        return cls(pair, -projection.gap, size[facet], what[at])
 
 
 def _crossings(p: SurfacePair, position: Array) -> SlavePoints:

@@ -17,7 +17,7 @@ from piezomat.contact.nodal_state import NodalState
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.seen_nodes import SeenNodes
 from piezomat.contact.terms import ContactTerms
-from piezomat.forms.arrays import Array, Integers
+from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.gap import point_normals
 from piezomat.forms.contact.laws.medium import Medium
 from piezomat.forms.contact.smoothing import rounded, spread, to_corners
@@ -41,6 +41,7 @@ class RigidPlane(ContactPoints):
     plane: the scene's section
     start (d,): a point of the plane at the beginning, um
     normal (d,): unit normal, which points to the bodies
+    sharp (f, c): whether there is a sharp edge at each corner of the slave facets
     reference_node: global number of the node that has the potential of the plane's electrode; None without one
     travel_node: global number of the node that has the travel of a plane by force; None for a given motion
     direction (d,): of that travel, a unit vector
@@ -61,6 +62,7 @@ class RigidPlane(ContactPoints):
     plane: Plane
     start: Array
     normal: Array
+    sharp: Booleans
     reference_node: int | None = None
     travel_node: int | None = None
     direction: Array | None = None
@@ -220,14 +222,17 @@ class RigidPlane(ContactPoints):
         """Number (r,) that the plane has in the results, for each point."""
         return np.full(len(self.projected_points), pairs.first_plane + self.pair - len(pairs.listed))
 
-    def deepest_node(self, position: Array) -> tuple[float, float]:
+    def deepest_node(self, position: Array, corners: Booleans | None = None) -> tuple[float, float]:
         """Penetration of the deepest node of facets with near points, and size of its facet, um; 0 and 1 for none.
 
-        position: of the seen nodes.
+        position: of the seen nodes; corners (f, c): only these of the facets.
         """
         facet, first = np.unique(self.points.facet[self.near_points], return_index=True)
         nodes = rounded(self.slave.kind, position[self.slave_nodes[facet]], self.slave.rounding[facet])
-        least = self._gap(nodes).min(axis=1)
+        gap = self._gap(nodes)
+        if corners is not None:
+            gap = np.where(corners[facet], gap[:, : corners.shape[1]], np.inf)
+        least = gap.min(axis=1)
         if not (least < 0.0).any():
             return 0.0, 1.0
         deepest = least.argmin()

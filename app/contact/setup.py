@@ -207,7 +207,7 @@ def _planes(model: Model, sharp: SharpNodes, first_number: int) -> tuple[list[Ri
     low = parallel.least(model.comm, model.unknowns.coordinates.min(axis=0, initial=np.inf))
     high = parallel.largest(model.comm, model.unknowns.coordinates.max(axis=0, initial=-np.inf))
     places = [_place(plane, np.stack([low, high]), model.unknowns.origin) for plane in model.scene.planes]
-    closed = np.zeros(len(outside), bool)
+    closed, edges = np.zeros(len(outside), bool), sharp.of_facets(surface_here) >= 0
     if not has_corner_points(keys, outside):
         reach = model.prescription.largest_motion() + _depth(model, surface_here)
         for start, normal in places:
@@ -235,6 +235,7 @@ def _planes(model: Model, sharp: SharpNodes, first_number: int) -> tuple[list[Ri
                 plane=plane,
                 start=start,
                 normal=normal,
+                sharp=edges,
                 reference_node=nodes.get(plane.name),
                 travel_node=None if push is None else model.unknowns.reference_node(push.reference),
                 direction=None if push is None else push.direction,

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezomat.contact.interfaces import Interfaces
+from piezomat.contact.penetrating_places import CORNER, CROSSING, ROUND
 from piezomat.scene.errors import shown
 
-# Facets: nodes that are less deep than this are not worth a warning, since round surfaces have their points behind; nor
-# are edges that cross. Nor is what is less than this many times as deep as the points of the pair.
-DEEP, CROSSED, DEEPER = 0.05, 0.01, 2.0
+# Facets: what is less deep than this is not worth a warning. Round surfaces have their points behind their nodes. Sharp
+# edges and vertices come first: what is left is rounding, as of coordinates of seven digits. Nor is what is less than
+# DEEPER times as deep as the points of the pair.
+DEEP = {ROUND: 0.05, CORNER: 1e-4, CROSSING: 1e-4}
+DEEPER = 2.0
 
 
 @dataclass(frozen=True, order=True)
@@ -25,38 +28,41 @@ class _Deepest:
 def unseen_penetration(contact: Interfaces) -> dict[str, str]:
     """A warning by the name of each pair and plane with such places at the last evaluation. Collective."""
     points: dict[str, float] = {}
-    places: dict[tuple[str, bool], _Deepest] = {}  # by name, and whether edges cross there
+    places: dict[tuple[str, int], _Deepest] = {}  # by name, and what lies there
     for p in contact.surface_pairs:
         number, _ = p.pair_numbers(contact.pairs)
         for pair in np.unique(number):
             name, depth = contact.pairs.name(int(pair)), float(-p.projection.gap[number == pair].min())
             points[name] = max(points.get(name, 0.0), depth)
     for found in contact.penetrating_places():
-        for pair, crossing in set(zip(found.pair.tolist(), found.crossing.tolist(), strict=True)):
-            of = np.flatnonzero((found.pair == pair) & (found.crossing == crossing))
+        for pair, what in set(zip(found.pair.tolist(), found.what.tolist(), strict=True)):
+            of = np.flatnonzero((found.pair == pair) & (found.what == what))
             i = of[found.depth[of].argmax()]
-            key, deepest = (contact.pairs.name(pair), crossing), _Deepest(found.depth[i], found.facet_size[i])
+            key, deepest = (contact.pairs.name(pair), what), _Deepest(found.depth[i], found.facet_size[i])
             places[key] = max(places.get(key, deepest), deepest)
     for plane in contact.planes:
         points[plane.name] = float(-plane.projection.gap.min(initial=0.0))
-        places[plane.name, False] = _Deepest(*plane.deepest_node(contact.state.position))
+        for what in (ROUND, CORNER):
+            some = plane.sharp if what == CORNER else None
+            places[plane.name, what] = _Deepest(*plane.deepest_node(contact.state.position, some))
     every = contact.comm.allgather((points, places))
     warnings: dict[str, str] = {}
-    for name, crossing in sorted({key for _, some in every for key in some}):
-        deepest = max(some[name, crossing] for _, some in every if (name, crossing) in some)
+    for name, what in sorted({key for _, some in every for key in some}):
+        deepest = max(some[name, what] for _, some in every if (name, what) in some)
         pressed = max(some.get(name, 0.0) for some, _ in every)
-        if deepest.depth > max((CROSSED if crossing else DEEP) * deepest.size, DEEPER * pressed):
-            warnings[name] = _text(name, crossing, deepest)
+        if deepest.depth > max(DEEP[what] * deepest.size, DEEPER * pressed):
+            warnings[name] = _text(name, what, deepest)
     return warnings
 
 
-def _text(name: str, crossing: bool, deepest: _Deepest) -> str:
-    what, cure = "nodes lie", 'take smaller facets there, or contact.method = "node"'
-    if crossing:
-        what, cure = "edges that cross lie", "no method has points where they cross between nodes: take smaller facets"
+def _text(name: str, what: int, deepest: _Deepest) -> str:
+    lie, cure = "nodes lie", 'take smaller facets there, or contact.method = "node"'
+    if what == CROSSING:
+        lie = "edges that cross lie"
+        cure = "no method has points between nodes: take facets smaller than this depth, or round an edge"
     share = deepest.depth / deepest.size
     where = f"up to {deepest.depth:.2g} um ({share:.2g} of a facet) inside what they meet"
-    return f"contact {shown(name)}: {what} {where}, where no contact point presses: {cure}"
+    return f"contact {shown(name)}: {lie} {where}, where no contact point presses: {cure}"
 
 
 def unseen_corners(contact: Interfaces | None) -> str | None:

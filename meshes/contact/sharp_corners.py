@@ -4,9 +4,9 @@ Points inside facets do not see them: they lie a fifth of a facet behind what co
 get points at their corners too. A facet that lies flat on the other surface needs none, since its own points are as
 deep, and at the rim of a flat contact such a point would be beside the other body by rounding. Flat and round contacts
 keep their points: a corner counts if only plane faces meet there, two of them at more than 50 degrees, and the
-direction to the other body is tilted from each of their normals by more than 10 degrees and lies in the cone of these
-normals, or less than 10 degrees beside it. The rims of round fibers do not count: in a mat some are near other fibers,
-and with such points a step of a coarse mat did not converge that does without.
+direction to the other body is tilted from each of their normals by more than a quarter of a degree and lies in the
+cone of these normals, or less than 10 degrees beside it. The rims of round fibers do not count: in a mat some are near
+other fibers, and with such points a step of a coarse mat did not converge that does without.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from piezomat.meshes.contact.signed_distance import relevant_pairs
 from piezomat.meshes.contact.surface import Surface, global_numbers
 
 PLANE = 1e-3  # radians between a facet and the mean of its neighbours, up to which they are of one plane face
-TILT = np.radians(10.0)  # at less the points of a facet are at most 0.04 facets behind its corner
+TILT = np.radians(0.25)  # at less the points of a facet are at most 0.001 facets behind its corner
+BESIDE = np.radians(10.0)  # loads turn edges and vertices a little
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class SharpNodes:
         points = (cosine < np.cos(TILT)) & (cosine > 0.0)
         for row in np.flatnonzero(points):
             _, away = nnls(self.normals[some[row]].T, direction[row])
-            points[row] = away < np.sin(TILT)
+            points[row] = away < np.sin(BESIDE)
         return points
 
 
@@ -163,7 +164,7 @@ def _nearest(
         seen, _ = relevant_pairs(points[near], np.zeros_like(points[near]), some, reach, None, facing=False)
         seen = seen[seen.distance <= seen.least(len(near))[seen.row] + TIE * seen.size]
         # Beside the end of a facet, what it faces is not what the corner points to.
-        seen = seen[np.abs(seen.gap) >= np.cos(TILT) * seen.distance - TIE * seen.size]
+        seen = seen[np.abs(seen.gap) >= np.cos(BESIDE) * seen.distance - TIE * seen.size]
         at = row[near[seen.row]]
         every.append((at, np.full(len(at), number), seen.distance, seen.size, seen.normal))
     return tuple(np.concatenate(part) for part in zip(*every, strict=True))

@@ -97,7 +97,7 @@ def test_every_method_sees_it(shape: str, comm: MPI.Comm, shared_tmp_path: Path)
             assert row["contact"] == pytest.approx(alone["contact"], rel=1e-8)
 
 
-@pytest.mark.parametrize("tilt", [12.0, 45.0])
+@pytest.mark.parametrize("tilt", [2.0, 8.0, 45.0])
 def test_a_corner_on_a_plane(tilt: float, tmp_path: Path) -> None:
     """It presses whatever the angle of its sides to the plane."""
     bar_on_edge(tmp_path / "square.msh", 2, (4, 4))

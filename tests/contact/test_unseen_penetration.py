@@ -18,7 +18,7 @@ from tests.scenes import bar_on_edge, press
 DEPTH = 0.02
 
 
-def pressed(path: Path, dimension: int, **contact: Any) -> Scene:
+def pressed(path: Path, dimension: int, depth: float = DEPTH, **contact: Any) -> Scene:
     """Two square bars that cross edge on edge, pressed together; in 2D a square on its corner over a block."""
     sideways = [0] * (dimension - 1)
     return press(
@@ -27,7 +27,7 @@ def pressed(path: Path, dimension: int, **contact: Any) -> Scene:
         bodies={"*": "elastic"},
         boundaries=[
             {"on": "bottom", "displacement": [*sideways, 0]},
-            {"on": "top", "displacement": [*sideways, -DEPTH], "follows": "press"},
+            {"on": "top", "displacement": [*sideways, -depth], "follows": "press"},
         ],
         contact=contact,
         load={"steps": [2], "factors": {"press": [1.0]}},
@@ -62,6 +62,24 @@ def test_one_pass_that_leaves_a_corner_out(tmp_path: Path, capfd: pytest.Capture
     for pair, said in ((["base", "tool"], True), (["tool", "base"], False)):
         run(pressed(tmp_path / "square.msh", 2, passes=1, pairs=[pair]), MPI.COMM_SELF)
         assert ("point to another one" in capfd.readouterr().out) == said
+
+
+@pytest.mark.parametrize("tilt", [0.2, 0.5, 8.0])
+def test_a_corner_has_its_force_or_a_warning(tilt: float, tmp_path: Path) -> None:
+    """However little its side is tilted from the other body: nodes press, or the run says that nothing does."""
+    bar_on_edge(tmp_path / "square.msh", 2, (4, 4), tilt=tilt)
+    forces, said = [], []
+    for method in ("node", "point"):
+        scene = pressed(tmp_path / "square.msh", 2, 1e-4, method=method)
+        finished = run(scene, MPI.COMM_SELF)
+        forces.append(finished.history[-1]["force_y@bottom"])
+        said += unseen_penetration(finished.contact).values()
+    if tilt > 0.25:
+        assert forces[1] == pytest.approx(forces[0], rel=0.05) and not said
+    else:
+        assert forces[1] == 0.0 < forces[0]
+        (text,) = said
+        assert '"tool-base": nodes lie up to 0.0001 um' in text
 
 
 def test_a_coarse_disc_on_a_plane(tmp_path: Path) -> None:
