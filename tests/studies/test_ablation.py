@@ -23,7 +23,8 @@ NOT_TUNED = {
     "rounding": "ROUNDING BALANCED EQUAL DEPENDENT FAR_GAP TINY COVERED PARALLEL",
     "accuracy of what is reported, not of the solution": "TOLERANCE ACCURACY CLOSE_TOLERANCE SNAPPED",
     "limits of memory and of what is listed": "CHUNK LISTED_BODIES",
-    "words of a warning or of a reason": "FAR WANDERING DEEP DEEPER PULLED_IN CLOSE LEAST LEAST_SHARE FLAT CROSSED",
+    "numbers that stand for words": "OUT_OF_MEMORY ROUND CORNER CROSSING",
+    "words of a warning or of a reason": "FAR WANDERING DEEP DEEPER PULLED_IN CLOSE LEAST LEAST_SHARE FLAT",
     "which solver: measured where they stand": (
         "DIRECT_LIMIT_3D LOOSE_LIMIT_3D CONDENSED_SHARE CONDENSED_ALWAYS CANDIDATE_LIMIT CONDENSED_LIMIT"
     ),
