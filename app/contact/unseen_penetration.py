@@ -15,6 +15,9 @@ from piezomat.scene.errors import shown
 # DEEPER times as deep as the points of the pair.
 DEEP = {ROUND: 0.05, CORNER: 1e-4, CROSSING: 1e-4}
 DEEPER = 2.0
+# Share of a facet's area below which a point of a segment is a sliver: where edges cross at a node some are as deep as
+# the edges, with a force of 1e-4 of that of nodes.
+SLIVER = 0.01
 
 
 @dataclass(frozen=True, order=True)
@@ -31,8 +34,11 @@ def unseen_penetration(contact: Interfaces) -> dict[str, str]:
     places: dict[tuple[str, int], _Deepest] = {}  # by name, and what lies there
     for p in contact.surface_pairs:
         number, _ = p.pair_numbers(contact.pairs)
+        rows, dim = p.projected_points, p.slave.kind.dim
+        wide = p.points.area[rows] >= SLIVER * p.facet_size[rows] ** dim
         for pair in np.unique(number):
-            name, depth = contact.pairs.name(int(pair)), float(-p.projection.gap[number == pair].min())
+            name = contact.pairs.name(int(pair))
+            depth = float(-p.projection.gap[(number == pair) & wide].min(initial=0.0))
             points[name] = max(points.get(name, 0.0), depth)
     for found in contact.penetrating_places():
         for pair, what in set(zip(found.pair.tolist(), found.what.tolist(), strict=True)):

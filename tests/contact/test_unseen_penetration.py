@@ -56,6 +56,17 @@ def test_edges_that_no_point_sees(
     assert len(warnings) == (comm.rank == 0)
 
 
+def test_slivers_at_crossing_edges(tmp_path: Path) -> None:
+    """Segments where edges cross at a node are deep and press with next to nothing: the run warns all the same."""
+    bar_on_edge(tmp_path / "bars.msh", 3, (2, 6))
+    forces = {}
+    for method in ("segment", "node"):
+        finished = run(pressed(tmp_path / "bars.msh", 3, 1e-3, method=method), MPI.COMM_SELF)
+        forces[method] = -finished.history[-1]["contact_force_z@base-tool"]
+        assert forces[method] > 0.1 or unseen_penetration(finished.contact)
+    assert forces["segment"] < 1e-3 * forces["node"]
+
+
 def test_one_pass_that_leaves_a_corner_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The corner belongs to the master, which has no points: the run says so at the start and at its depth."""
     bar_on_edge(tmp_path / "square.msh", 2, (4, 4))
