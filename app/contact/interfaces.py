@@ -244,10 +244,17 @@ class Interfaces(Detection, BlockTerm):
         return self._deepest(-p.projection.gap for p in self.point_sets if p.projection is not None)
 
     def penetrating_places(self) -> list[PenetratingPlaces]:
-        """Nodes and edges of this rank's slave facets inside other bodies at the last evaluation. Not collective."""
+        """Nodes and edges of this rank's slave facets inside other bodies at the last evaluation. Collective.
+
+        In one pass also the nodes of the masters.
+        """
         if self._places_inside is None or self._places_inside[0] is not self.state:
             given = self.pairs, self.state.position, 2.0 * self.last_penetration
-            self._places_inside = self.state, [PenetratingPlaces.of(p, *given) for p in self.surface_pairs]
+            found = [PenetratingPlaces.of(p, *given) for p in self.surface_pairs]
+            given = self.pairs, self.state.position, self.mean_facet_size
+            alone = [p for p in self.surface_pairs if p.share == 1.0]
+            found += [PenetratingPlaces.of_master(self.comm, p, *given) for p in alone]
+            self._places_inside = self.state, found
         return self._places_inside[1]
 
     def penetration_in_facets(self) -> float:

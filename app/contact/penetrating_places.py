@@ -8,8 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
 from piezomat.contact.closest_points import ClosestPoints, SearchLimits
+from piezomat.contact.master_nodes import penetrating_master_nodes
 from piezomat.contact.pairs import Pairs
 from piezomat.contact.surface_pair import SurfacePair
 from piezomat.forms.arrays import Array, Integers
@@ -17,8 +19,8 @@ from piezomat.forms.contact.facets import FacetKind
 from piezomat.forms.contact.integrals import SlavePoints, nodes_of
 from piezomat.meshes.contact.facet_bounds import TIE, near_pairs
 
-# Nodes, those of sharp edges and vertices, and places where sharp edges cross.
-ROUND, CORNER, CROSSING = range(3)
+# Nodes of the slave, those of its sharp edges and vertices, places where sharp edges cross, nodes of the master.
+ROUND, CORNER, CROSSING, MASTER = range(4)
 CLOSE = 0.5  # facets: a node may be inside the other body if a point of its facet has a gap below this
 PARALLEL = 0.1  # sine of the angle below which edges do not cross
 
@@ -34,6 +36,16 @@ class PenetratingPlaces:
     depth: Array
     facet_size: Array
     what: Integers
+
+    @classmethod
+    def of_master(
+        cls, comm: MPI.Comm, p: SurfacePair, pairs: Pairs, position: Array, reach: float
+    ) -> PenetratingPlaces:
+        """Nodes of the master facets, which have no points of their own; see `penetrating_master_nodes`. Collective."""
+        slave, master, depth = penetrating_master_nodes(comm, p, position, reach)
+        size = p.facet_size[np.searchsorted(p.points.facet, slave)]
+        pair, _ = p.pairs_of_facets(pairs, slave, master)
+        return cls(pair, depth, size, np.full(len(slave), MASTER))
 
     @classmethod
     def of(cls, p: SurfacePair, pairs: Pairs, position: Array, depth: float) -> PenetratingPlaces:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezomat.contact.interfaces import Interfaces
-from piezomat.contact.penetrating_places import CORNER, CROSSING, ROUND
+from piezomat.contact.penetrating_places import CORNER, CROSSING, MASTER, ROUND
 from piezomat.scene.errors import shown
 
 # Facets: what is less deep than this is not worth a warning. Round surfaces have their points behind their nodes. Sharp
 # edges and vertices come first: what is left is rounding, as of coordinates of seven digits. Nor is what is less than
 # DEEPER times as deep as the points of the pair.
-DEEP = {ROUND: 0.05, CORNER: 1e-4, CROSSING: 1e-4}
+DEEP = {ROUND: 0.05, CORNER: 1e-4, CROSSING: 1e-4, MASTER: 0.05}
 DEEPER = 2.0
 # Share of a facet's area below which a point of a segment is a sliver: where edges cross at a node some are as deep as
 # the edges, with a force of 1e-4 of that of nodes.
@@ -66,6 +66,8 @@ def _text(name: str, what: int, deepest: _Deepest) -> str:
     if what == CROSSING:
         lie = "edges that cross lie"
         cure = "no method has points between nodes: take facets smaller than this depth, or round an edge"
+    if what == MASTER:
+        lie, cure = "nodes of the surface without contact points lie", "take contact.passes = 2"
     share = deepest.depth / deepest.size
     where = f"up to {deepest.depth:.2g} um ({share:.2g} of a facet) inside what they meet"
     return f"contact {shown(name)}: {lie} {where}, where no contact point presses: {cure}"

@@ -67,12 +67,22 @@ def test_slivers_at_crossing_edges(tmp_path: Path) -> None:
     assert forces["segment"] < 1e-3 * forces["node"]
 
 
-def test_one_pass_that_leaves_a_corner_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.mpi
+def test_one_pass_that_leaves_a_corner_out(
+    comm: MPI.Comm, shared_tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """The corner belongs to the master, which has no points: the run says so at the start and at its depth."""
-    bar_on_edge(tmp_path / "square.msh", 2, (4, 4))
+    path = shared_tmp_path / "square.msh"
+    if comm.rank == 0:
+        bar_on_edge(path, 2, (4, 4))
+    comm.barrier()
     for pair, said in ((["base", "tool"], True), (["tool", "base"], False)):
-        run(pressed(tmp_path / "square.msh", 2, passes=1, pairs=[pair]), MPI.COMM_SELF)
-        assert ("point to another one" in capfd.readouterr().out) == said
+        row = run(pressed(path, 2, passes=1, pairs=[pair]), comm).history[-1]
+        deep = row[f"max_penetration@{'-'.join(pair)}"]
+        assert deep == pytest.approx(DEPTH - 1e-9, rel=1e-6) if said else deep < 0.1 * DEPTH
+        printed = capfd.readouterr().out
+        for text in ("point to another one", "nodes of the surface without contact points lie up to 0.02 um"):
+            assert (text in printed) == (said and comm.rank == 0)
 
 
 @pytest.mark.parametrize("tilt", [0.2, 0.5, 8.0])
