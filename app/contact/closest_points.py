@@ -149,8 +149,9 @@ class ClosestPoints:
             self.facet[stay], self.xi[stay], self.overshoot[stay] = facet[meets], xi[meets], overshoot[meets]
         projected = np.flatnonzero(self.facet >= 0)
         points = points[projected]
-        projection = self._project(position, points, projected)
-        self.xi[projected] = projection.xi
+        if lost.any() or not len(have):
+            projection = self._project(position, points, projected)
+            self.xi[projected] = projection.xi
         shared = self._share(position, points, projected, projection, limits.detection_range)
         self.apart[projected] = projection.gap >= 0.0
         return projected, points, projection, shared

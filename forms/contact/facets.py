@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,15 +59,11 @@ class FacetKind:
 
     def shape(self, xi: Array, derivative: tuple[int, ...] = ()) -> Array:
         """Shape functions (m, n) at points xi (m, t), or their derivative along these axes."""
-        powers = self.powers.copy()
-        factor = np.ones(len(powers))
-        for axis in derivative:
-            factor = factor * powers[:, axis]
-            powers[:, axis] = np.maximum(powers[:, axis] - 1, 0)
-        monomials = np.empty((len(xi), len(powers)))
-        for column, (value, exponents) in enumerate(zip(factor, powers, strict=True)):
-            for axis in np.flatnonzero(exponents) if value else ():
-                value = value * (xi[:, axis] if exponents[axis] == 1 else xi[:, axis] ** 2)
+        monomials = np.empty((len(xi), len(self.powers)))
+        for column, (factor, axes) in enumerate(_monomials(self.name, derivative)):
+            value: Any = factor
+            for axis in axes:
+                value = value * xi[:, axis]
             monomials[:, column] = value
         return monomials @ self.coefficients
 
@@ -155,16 +152,25 @@ class FacetMaps:
     def at(self, xi: Array, *derivative: int) -> Array:
         """Positions (d, m) at points xi (t, m), or derivatives along the given axes."""
         result = np.zeros(self._terms.shape[1:])
-        for powers, term in zip(self._kind.powers, self._terms, strict=True):
-            powers, factor = powers.copy(), 1
-            for axis in derivative:
-                factor *= powers[axis]
-                powers[axis] -= 1
+        for (factor, axes), term in zip(_monomials(self._kind.name, derivative), self._terms, strict=True):
+            for axis in axes:
+                term = term * xi[axis]
             if factor:
-                for axis in np.repeat(np.arange(len(powers)), powers):
-                    term = term * xi[axis]
                 result += term if factor == 1 else factor * term
         return result
+
+
+@cache
+def _monomials(name: str, derivative: tuple[int, ...]) -> list[tuple[int, list[int]]]:
+    """Derivative of each monomial along these axes: a factor, and the axes whose coordinates are multiplied."""
+    found = []
+    for powers in facet_kind(name).powers.tolist():
+        factor = 1
+        for axis in derivative:
+            factor *= powers[axis]
+            powers[axis] -= 1
+        found.append((factor, [axis for axis, power in enumerate(powers) for _ in range(power)] if factor else []))
+    return found
 
 
 def triangle_rule(order: int) -> tuple[Array, Array]:

@@ -111,9 +111,12 @@ class Clusters:
             axis = np.ptp(middle[group], axis=0).argmax()
             group = group[np.argsort(middle[group, axis], kind="stable")]
             groups += [group[: len(group) // 2], group[len(group) // 2 :]]
-        boxes = [np.stack([low[group].min(axis=0), high[group].max(axis=0)]) for group in members]
-        numbers = np.array([component[group[0]] for group in members], np.int64)
-        return cls(np.reshape(boxes, (-1, 2, low.shape[1])), numbers, members)
+        if not members:
+            return cls(np.zeros((0, 2, low.shape[1])), np.zeros(0, np.int64), members)
+        joined, size = np.concatenate(members), [len(group) for group in members]
+        first = np.cumsum(size) - size
+        boxes = np.stack([np.minimum.reduceat(low[joined], first), np.maximum.reduceat(high[joined], first)], axis=1)
+        return cls(boxes, component[joined[first]].astype(np.int64), members)
 
 
 def overlapping(first: Array, second: Array, margin: float) -> tuple[Integers, Integers]:

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from scipy.optimize import nnls
 
 from piezomat.forms.arrays import Array, Booleans, Integers
 from piezomat.forms.contact.facets import Facets, corner_kind
@@ -79,6 +78,8 @@ class SharpNodes:
         """Whether the edge or vertex at some nodes (m,) points to what lies in the direction (m, d)."""
         cosine = np.einsum("mkd,md->mk", self.normals[some], direction).max(axis=1, initial=-1.0)
         points = (cosine < np.cos(TILT)) & (cosine > 0.0)
+        if points.any():
+            from scipy.optimize import nnls  # here: it takes a twentieth of the time of a small scene
         for row in np.flatnonzero(points):
             _, away = nnls(self.normals[some[row]].T, direction[row])
             points[row] = away < np.sin(BESIDE)
