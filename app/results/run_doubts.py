@@ -62,7 +62,7 @@ class RunDoubts:
             potential = self.problem.solution().x.array.reshape(-1, model.unknowns.block)[:, model.dim]
             here = np.array([model.potential_scale * np.abs(potential).max(initial=0.0)])
             self._largest_potential = max(self._largest_potential, float(parallel.largest(model.comm, here)[0]))
-        if self._small or np.isfinite(self._yield).any():
+        if self._looks_at_strain or self._looks_at_yield:
             found += self._of_fields(fields(), number)
         return found
 
@@ -128,10 +128,18 @@ class RunDoubts:
         least = SMALL_FORCE * self._most.max(initial=0.0)
         return [names[b] for (b,) in parts if self._most[b] > least and self._unbalanced[b] > UNBALANCED]
 
+    @property
+    def _looks_at_strain(self) -> bool:
+        return self._small and "strain" not in self._said
+
+    @property
+    def _looks_at_yield(self) -> bool:
+        return bool(np.isfinite(self._yield).any()) and "yield" not in self._said
+
     def _of_fields(self, piece: FieldPiece, number: int) -> list[str]:
         names = self.problem.model.bodies.bodies
         found = []
-        if self._small and "strain" not in self._said:
+        if self._looks_at_strain:
             largest = self._largest_by_body(largest_strain(piece.strain), piece)
             body = int(largest.argmax())
             if largest[body] > LARGE_STRAIN:
@@ -140,7 +148,7 @@ class RunDoubts:
                     f"strains reach {largest[body]:.2g} in body {shown(names[body])} in step {number}, where "
                     'model.kinematics = "small" is no longer accurate'
                 )
-        if np.isfinite(self._yield).any() and "yield" not in self._said:
+        if self._looks_at_yield:
             pressure = np.maximum(-piece.stress[:, :3].min(axis=1, initial=np.inf), piece.von_mises)
             largest = self._largest_by_body(pressure, piece)
             over = largest / self._yield
