@@ -162,13 +162,11 @@ def pytest_unconfigure() -> None:
 
 
 @pytest.fixture(autouse=True)
-def _log_as_it_was() -> Generator[None]:
-    """The command line keeps the log to itself: a later test in the same process would hear nothing."""
+def _log_as_imported() -> None:
+    """The command line keeps the log to itself: a later test, or one with a fixture that ran it, would hear nothing."""
     log = logging.getLogger("piezomat")
-    before = log.level, log.propagate, list(log.handlers)
-    yield
-    log.setLevel(before[0])
-    log.propagate, log.handlers = before[1], before[2]
+    log.setLevel(logging.NOTSET)
+    log.propagate, log.handlers = True, []
 
 
 @pytest.fixture(autouse=True)

@@ -129,5 +129,5 @@ def test_loose_fibers_do_not_swing_in_the_pull_of_potentials() -> None:
     keys |= {"load.factors.press": [1.0 / STEPS], "solver.kind": "direct"}
     scene = Scene.load("random_mat", [f"{key}={value(thing)}" for key, thing in keys.items()])
     (last,) = run(scene, MPI.COMM_SELF).history
-    assert last["cutbacks"] == 0 and last["newton"] <= 25
+    assert last["cutbacks"] == 0 and last["newton"] <= 40  # Debian 12: 19; Debian 13, with another mesh: 36
     assert last["force_z@lid"] < -1.0 and last["stabilization"] < 1e-3 * last["elastic"]
