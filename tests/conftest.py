@@ -163,8 +163,7 @@ def pytest_unconfigure() -> None:
 
 @pytest.fixture(autouse=True)
 def _log_as_imported() -> None:
-    """The command line keeps the log to itself, a study silences it: a later test would hear nothing."""
-    logging.disable(logging.NOTSET)
+    """The command line keeps the log to itself: a later test, or one with a fixture that ran it, would hear nothing."""
     log = logging.getLogger("piezomat")
     log.setLevel(logging.NOTSET)
     log.propagate, log.handlers = True, []

@@ -67,7 +67,6 @@ def run_cell(task: tuple[str, int, Any, Any]) -> dict[str, Any]:
     from piezomat import simulation
     from piezomat.scene import SceneError
 
-    logging.disable(logging.ERROR)
     name, column, x, y = task
     study, method = MAPS[name], METHODS[column]
     row: dict[str, Any] = {"method": method.name, "x": x, "y": y}
@@ -189,7 +188,7 @@ def main() -> None:
     parser.add_argument("--draw", action="store_true", help="only draw the tables in OUT")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    with multiprocessing.get_context("spawn").Pool(given.jobs) as pool:
+    with multiprocessing.get_context("spawn").Pool(given.jobs, logging.disable, (logging.ERROR,)) as pool:
         for name in given.maps:
             if not given.draw:
                 sweep(MAPS[name], given.out, pool)
