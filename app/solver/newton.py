@@ -181,14 +181,14 @@ class Newton:
     @callback(instead=lambda *_: fenicsx.NOT_A_NUMBER)
     def _test_convergence(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """Converged, diverged (not a number, or contact beyond the search or the equations), or neither."""
-        contact, equations, residual = self._contact, self.linear.equations, snes.getFunction()[0]
+        contact, equations = self._contact, self.linear.equations
+        x, residual = snes.getSolution(), snes.getFunction()[0]
         if equations.is_exceeded or (contact is not None and contact.search_radius_exceeded):
             return PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
         relative = self.convergence.relative_residual(residual)
-        if relative <= max(NEAR_EQUILIBRIUM, self.convergence.tolerance) and self._complete(
-            snes.getSolution(), relative
-        ):
-            equations.residual(snes.getSolution(), residual, self._mode)
+        is_near = relative <= max(NEAR_EQUILIBRIUM, self.convergence.tolerance)
+        if is_near and self._complete(x, relative):
+            equations.residual(x, residual, self._mode)
             relative = self.convergence.relative_residual(residual)
         self._report.residuals.append(relative)
         if not np.isfinite(relative):
@@ -203,12 +203,10 @@ class Newton:
 
     def _complete(self, x: PETSc.Vec, relative: float) -> bool:
         """Let the attraction act, and find anew what surfaces face at the state x; whether the residual changes."""
-        contact, before = self._contact, self._mode
+        contact, before, tolerance = self._contact, self._mode, self.convergence.tolerance
         if contact is None:
             return False
-        self._mode = replace(before, attraction=True)
-        tolerance = self.convergence.tolerance
-        renewed = False
+        self._mode, renewed = replace(before, attraction=True), False
         if relative <= max(RENEWAL, tolerance):
             self._renewals += 1
             most = MAX_RENEWALS if relative > tolerance else MAX_RENEWALS_IN_ALL

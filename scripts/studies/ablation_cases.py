@@ -203,7 +203,6 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
         FEW,
         {"DRIFT": "motion after which points are searched for", "MARGIN": "how long closest points are kept"},
     ),
-    ("solver.newton", FEW, {"RENEWAL": "what surfaces face is found anew where it changes little"}),
     (
         "contact.setup",
         FEW,
@@ -243,7 +242,14 @@ SCALED: list[tuple[str, tuple[str, ...], dict[str, str]]] = [
         MULTIGRID,
         {"START_TOLERANCE": "Krylov tolerance of the start value", "LOOSE_TOLERANCE": "the same with loose bodies"},
     ),
-    ("solver.newton", FEW, {"NEAR_EQUILIBRIUM": "from where on contact is evaluated completely"}),
+    (
+        "solver.newton",
+        FEW,
+        {
+            "NEAR_EQUILIBRIUM": "from where on contact is evaluated completely",
+            "RENEWAL": "what surfaces face is found anew where it changes little",
+        },
+    ),
     (
         "solver.snap_through",
         ADHESIVE,
